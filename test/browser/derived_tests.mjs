@@ -1,7 +1,7 @@
 // Streams made of others by expressions, and the panels that show numbers over one another, sounds by frequency, and
 // messages as a list.
 import { test, equal, ok, near, until } from "./harness.mjs";
-import { answer, open, settled, state, dispatch } from "./studio_page.mjs";
+import { answer, open, settled, state, dispatch, panelIn } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
@@ -69,7 +69,7 @@ test("3 XY: the second stream is drawn over the first, in the view", async ({ pa
   await open(page, main, "minute.0000");
   await menu(page, "Imu.Acc.X", "Show as xy plot");
   await until(page, () => document.querySelector(".xy-cell"), "a panel");
-  const id = await page.$eval(".xy-cell", (e) => e.id.replace("body-", ""));
+  const id = panelIn(await page.$eval(".xy-cell", (e) => e.id));
   await page.evaluate((panel) => window.situStudio.options.push("add_stream", { stream: "Imu.Acc.Y", panel }), id);
   await until(page, () => [...window.situStudio.views].find((v) => v.windowed)?.dots > 100, "dots");
   await dispatch(page, { type: "view", from: 10 * S, to: 12 * S });

@@ -104,7 +104,7 @@ test("8 layouts: panels are moved by dragging", async ({ page, shot }) => {
   equal(await cells(page), [["p2"], ["p1"]], "pictures in rows of their own");
   await page.$eval("#cell-p1", (e) => e.scrollIntoView());
   await settled(page);
-  await until(page, () => document.querySelector("#body-p1 canvas").dataset.at, "the moved picture is shown");
+  await until(page, () => document.querySelector("#body-p1-image canvas").dataset.at, "the moved picture is shown");
   await until(page, () => !document.querySelector("[data-drop]"), "no mark is left");
   await shot("moved");
   // the address holds it

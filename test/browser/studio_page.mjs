@@ -136,3 +136,6 @@ export const colorOf = (page, stream, nth = 0) =>
     },
     [stream, nth],
   );
+
+// The panel that a view's element belongs to: "p1" of "body-p1-plot".
+export const panelIn = (id) => /^body-(\w+)-/.exec(id)[1];

@@ -1,6 +1,6 @@
 // Panels on the time axis: lines, lanes, waveforms, intervals.
 import { test, equal, ok, near, until } from "./harness.mjs";
-import { open, settled, dispatch, pixel, count, colorOf, panelOf, pointAt } from "./studio_page.mjs";
+import { open, settled, dispatch, pixel, count, colorOf, panelOf, pointAt, panelIn } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
@@ -194,7 +194,7 @@ test("3 timelines: a threshold covers what is below a value", async ({ page }) =
   await page.$eval(`#${id}`, (e) => e.scrollIntoView());
   await settled(page);
   const before = await count(page, `#${id} canvas`, own);
-  await page.click(`[data-panel="${id.replace("body-", "")}"] button[title='Properties']`);
+  await page.click(`[data-panel="${panelIn(id)}"] button[title='Properties']`);
   await page.selectOption("#threshold-side", "below");
   await page.fill("#threshold-value", "0");
   await until(
@@ -273,7 +273,7 @@ test("3 timelines: where a stream begins late or ends early there is a bracket",
 test("3 timelines: colour and joins of a line are set in its properties", async ({ page }) => {
   await open(page, main, "many.0000");
   const id = await page.$eval("[phx-hook='Panel']", (e) => e.id),
-    panel = id.replace("body-", "");
+    panel = panelIn(id);
   const own = await colorOf(page, await page.$eval(`#${id}`, (e) => JSON.parse(e.dataset.config).vis[0].stream));
   const blue = () => count(page, `#${id} canvas`, own, 30),
     magenta = () => count(page, `#${id} canvas`, [255, 0, 255], 60);
@@ -320,7 +320,7 @@ test("3 timelines: each line of a plot can have an axis of its own", async ({ pa
   await settled(page);
   const shared = await tops();
   ok(shared[1] - shared[0] > 5, `on one axis the smaller lies lower: ${shared}`);
-  await page.click(`[data-panel="${id.replace("body-", "")}"] button[title=Properties]`, { force: true });
+  await page.click(`[data-panel="${panelIn(id)}"] button[title=Properties]`, { force: true });
   await until(page, () => document.querySelector("#axis-own"), "its properties");
   await page.check("#axis-own");
   await until(page, (i) => [...window.situStudio.views].find((v) => v.el.id === i).own, "each has its own", id);
@@ -336,7 +336,7 @@ test("3 timelines: each line of a plot can have an axis of its own", async ({ pa
     "a reload shows the same",
     id,
   );
-  await page.click(`[data-panel="${id.replace("body-", "")}"] button[title=Properties]`, { force: true });
+  await page.click(`[data-panel="${panelIn(id)}"] button[title=Properties]`, { force: true });
   await until(page, () => document.querySelector("#axis-own")?.checked, "its properties say so");
   await page.uncheck("#axis-own");
   await until(page, (i) => ![...window.situStudio.views].find((v) => v.el.id === i).own, "on one axis again", id);

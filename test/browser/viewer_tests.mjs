@@ -1,7 +1,7 @@
 // Links for those who may look and not change.
 import { readdirSync } from "node:fs";
 import { test, equal, ok, until } from "./harness.mjs";
-import { open, dispatch, panelOf, state } from "./studio_page.mjs";
+import { open, dispatch, panelOf, state, panelIn } from "./studio_page.mjs";
 
 const site = JSON.parse(process.argv[2]);
 const base = site.shared.replace(/\/\?.*/, "");
@@ -31,7 +31,7 @@ test("4 viewers: a link may look and not change, whatever its page sends", async
       push("film_begin", { panel: id, from, to });
       return id;
     },
-    (await panelOf(page, "Camera.Image")).replace("body-", ""),
+    panelIn(await panelOf(page, "Camera.Image")),
   );
   ok(sent, "a panel with pictures");
   // answered in order: after this one all of them are

@@ -59,7 +59,7 @@ defmodule Situ.Studio.Web.Panels do
     <section class={["row-box timeline", @selected == {:panel, @panel.id} && "selected", @max == @panel.id && "maxed"]}
         id={"row-" <> @panel.id} data-row={@panel.id} data-panel={@panel.id} data-menu="panel"
         style={Layout.style(@line, @known.lanes)}>
-      <div id={"body-" <> @panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore" role="group"
+      <div id={body(@panel)} class="panel-body" phx-hook="Panel" phx-update="ignore" role="group"
           aria-label={names(@panel)} data-kind={@panel.panel} data-config={config(@panel, @known)}></div>
       <.tools panel={@panel} row={@panel.id} max={@max} />
       <.edge row={@panel.id} line={@line} known={@known} />
@@ -81,7 +81,7 @@ defmodule Situ.Studio.Web.Panels do
           <button class="mini" type="button" phx-click="remove_panel" phx-value-id={panel.id} title="Remove"
               aria-label={"Remove " <> names(panel)}><.icon name={:close} /></button>
         </div>
-        <div class="cell-body"><div id={"body-" <> panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore"
+        <div class="cell-body"><div id={body(panel)} class="panel-body" phx-hook="Panel" phx-update="ignore"
             role="group" aria-label={names(panel)} data-kind={panel.panel}
             data-config={config(panel, @known)}></div></div>
       </div>
@@ -89,6 +89,9 @@ defmodule Situ.Studio.Web.Panels do
     </section>
     """
   end
+
+  # A panel of another kind is another element: the page opens it anew.
+  defp body(panel), do: "body-#{panel.id}-#{panel.panel}"
 
   # The lower edge of a row: dragged, it gives the row a height of its own.
   defp edge(assigns) do

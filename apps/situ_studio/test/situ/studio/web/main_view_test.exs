@@ -40,8 +40,8 @@ defmodule Situ.Studio.Web.MainViewTest do
   test "lists streams as a tree and opens with a layout by their kinds", %{studio: studio} do
     page = open(studio)
     assert Page.count(page, "#tree .node") == 6
-    assert Page.has?(page, "#body-p1")
-    assert Page.attribute(page, "#body-p1", "data-kind") == "image"
+    assert Page.has?(page, "#body-p1-image")
+    assert Page.attribute(page, "#body-p1-image", "data-kind") == "image"
     assert edit(page) == ""
   end
 
@@ -163,10 +163,10 @@ defmodule Situ.Studio.Web.MainViewTest do
     assert Layouts.names(context.tmp_dir) == ["Mine"]
     assert edit(page) == ""
     Page.event(page, "layout_pick", %{"layout" => "Automatic"})
-    assert Page.has?(page, "#body-p1")
+    assert Page.has?(page, "#body-p1-image")
 
     again = open(context.studio, %{"layout" => "Automatic", "edit" => code})
-    refute Page.has?(again, "#body-p1")
+    refute Page.has?(again, "#body-p1-image")
     assert edit(again) != ""
 
     Page.event(page, "layout_pick", %{"layout" => "Mine"})
@@ -231,7 +231,7 @@ defmodule Situ.Studio.Web.MainViewTest do
     threshold = fn -> Layout.panel(layout(page), id).threshold end
     set.("above", "0.5")
     assert threshold.() == {:above, 0.5}
-    assert Page.attribute(page, "#body-" <> id, "data-config") =~ ~s("threshold":{)
+    assert Page.attribute(page, "#body-#{id}-plot", "data-config") =~ ~s("threshold":{)
     for {side, value} <- [{"above", "x"}, {"above", %{}}], do: set.(side, value)
     assert threshold.() == {:above, 0.5}
     set.("sideways", "1")
