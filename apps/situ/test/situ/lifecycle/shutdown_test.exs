@@ -221,15 +221,19 @@ defmodule Situ.Lifecycle.ShutdownTest do
   end
 
   test "a gap of half a century does not keep a pipeline from its stop" do
+    me = self()
+    gap = fn _, m -> if m.originating_time == Time.ms(2), do: send(me, :gap) end
+
     build = fn p ->
       p
       |> Situ.from_enumerable([{0, 1.0}, {Time.ms(50 * 365 * 86_400_000), 2.0}])
       |> Situ.sample(Time.ms(1), Reproducible.nearest())
-      |> Situ.each(fn _ -> :ok end, async: true)
+      |> Situ.each(gap, async: true)
     end
 
     replay = [interval: {0, :unbounded}, speed: :max]
     {:ok, p} = Pipeline.start(build, pipeline: [replay: replay, stop_timeout: 100])
+    assert_receive :gap
 
     assert {:error, %{code: :stuck}} = Pipeline.stop(p, catch_up: 10, timeout: 20_000)
   end
