@@ -134,6 +134,58 @@ test("6 datasets: sessions are made, renamed, filled and removed; metadata and t
   equal(session("p01").tags, ["pilot", "by hand"], "what was edited by hand is kept");
 });
 
+test("6 datasets: a moved recording is found again, a part is saved, a copy of the dataset is opened", async ({
+  page,
+  shot,
+}) => {
+  await dataset(page);
+  await page.selectOption(".pick select", "bytes_per_hour");
+  await until(
+    page,
+    () => /\d MB\/h$/.test(document.querySelector("#tree .dataset .info").textContent),
+    "any figure beside the names",
+  );
+  await page.selectOption(".pick select", "began");
+  await until(
+    page,
+    () => document.querySelector("#tree .session .info").textContent === "2026-01-01 00:00:00 UTC",
+    "times say of which zone they are",
+  );
+  await menu(page, "p03", "Unfold all below it");
+  await menu(page, "Room", "Take another recording for it…");
+  await page.check("#relocate label:has-text('broken.0000') input");
+  await page.click("#relocate button[type=submit]");
+  await onDisk(() => session("p03").partitions[0].path === "broken.0000", "the other place is in the file");
+  await until(page, () => !document.querySelector("#tree .trouble"), "and nothing is missing any more");
+  await menu(page, "Room", "Save a part as a recording…");
+  await page.fill("#part [name=name]", "ten seconds");
+  await page.fill("#part [name=to]", "10");
+  await shot("part");
+  await page.click("#part button[type=submit]");
+  await onDisk(() => existsSync(`${folder}/ten seconds.0000`), "the part is a recording");
+  await menu(page, "Lobby study", "Save a copy as…");
+  await answer(page, "a copy");
+  await until(page, () => location.pathname === "/d/a%20copy.json", "the copy is opened");
+  await connected(page);
+  await menu(page, "Lobby study", "Add a folder as one session…");
+  await page.check("#folders label:has-text('own folder') input");
+  await page.click("#folders button[type=submit]");
+  await until(
+    page,
+    () => /^1 session added|recordings added/.test(document.getElementById("toast").textContent),
+    "said",
+  );
+  const copied = JSON.parse(readFileSync(`${folder}/a copy.json`, "utf8"));
+  ok(copied.sessions[3].partitions.length > 5, "with all that was not in it yet");
+  await menu(page, copied.sessions[3].name, "Remove from the dataset");
+  await confirm(page);
+  const lost = saved();
+  lost.sessions[2].partitions[0].path = "lost.0000";
+  writeFileSync(file, JSON.stringify(lost, null, 2));
+  rmSync(`${folder}/a copy.json`);
+  rmSync(`${folder}/ten seconds.0000`, { recursive: true });
+});
+
 test("6 datasets: a session of two recordings on one time axis", async ({ page, shot }) => {
   await open(page, main, "study.json/p02");
   const { data } = await state(page);

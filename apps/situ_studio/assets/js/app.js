@@ -18,6 +18,7 @@ import { showStatistics } from "./page/statistics.js";
 import { copyViewerLink } from "./page/viewer_link.js";
 import { toast } from "./page/toast.js";
 import { Together } from "./page/together.js";
+import { tellTimes } from "./page/times.js";
 
 let studio = null;
 
@@ -87,6 +88,7 @@ const hooks = {
     updated() {
       const { layout, edit, annotate } = this.el.dataset;
       page().setLayout(layout, edit, annotate);
+      tellTimes(this.el);
     },
     destroyed() {
       studio?.together.destroy();

@@ -4,6 +4,7 @@ import { Menu } from "./menu.js";
 import { setTheme } from "./theme.js";
 import { copy, toast } from "./toast.js";
 import { sure as asked } from "./ask.js";
+import { tellTimes } from "./times.js";
 
 const otherTheme = () => setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
 
@@ -44,6 +45,11 @@ export const hooks = {
       };
       document.addEventListener("keydown", this.key);
       this.handleEvent("toast", ({ text }) => toast(text));
+      this.handleEvent("go", ({ href }) => location.assign(href));
+      tellTimes(this.el);
+    },
+    updated() {
+      tellTimes(this.el);
     },
     destroyed() {
       document.removeEventListener("keydown", this.key);

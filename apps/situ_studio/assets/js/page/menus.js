@@ -7,7 +7,9 @@ import { commands } from "./commands.js";
 
 export function menuItems(app, target, event) {
   const node = target.closest(".node[data-stream]");
-  if (node) return streamItems(app, node.dataset);
+  if (node) return streamItems(app, node);
+  const group = target.closest(".node[data-group]");
+  if (group) return groupItems(app, group);
   const legend = target.closest(".legend-item");
   const panel = target.closest("[data-panel]");
   if (panel) return panelItems(app, panel, legend, event);
@@ -23,13 +25,28 @@ export function menuItems(app, target, event) {
   return null;
 }
 
-function streamItems(app, { stream, shape, type, path }) {
+// Panels that take more than one stream, as `Situ.Studio.Layout` joins them.
+const JOINED = ["plot", "lanes", "image", "space", "map", "xy"];
+
+function streamItems(app, node) {
+  const { stream, shape, type, path, address } = node.dataset;
   const push = (event, more = {}) => app.options.push?.(event, { stream, ...more });
   const kinds = JSON.parse(document.getElementById("stream-names")?.dataset.kinds ?? "{}")[shape] ?? [];
+  const chosen = app.root.querySelector("[data-panel].selected");
+  const of = chosen?.querySelector("[phx-hook='Panel']")?.dataset.kind;
+  const joining = JOINED.includes(of) ? kinds.filter(([, , panel]) => panel === of) : [];
   return [
+    ...joining.map(([viz, title]) => ({
+      text: `Show in the selected panel as ${title.toLowerCase()}`,
+      run: () => push("add_viz", { viz, panel: chosen.dataset.panel }),
+    })),
+    ...(joining.length ? ["-"] : []),
     ...kinds.map(([viz, title]) => ({ text: `Show as ${title.toLowerCase()}`, run: () => push("add_viz", { viz }) })),
     "-",
     { text: "Derive from it…", hint: "e", run: () => commands.derive(app, derivation(stream)) },
+    ...(["value", "signals", "states", "bars", "space", "frames", "place", "shapes", "spans"].includes(shape)
+      ? [{ text: "Derive its members", run: () => push("derive_members") }]
+      : []),
     "-",
     { text: "Properties", run: () => push("select", { path: stream }) },
     { text: "Zoom to it", run: () => push("zoom_stream") },
@@ -38,10 +55,36 @@ function streamItems(app, { stream, shape, type, path }) {
       ? [{ text: "Propose annotations from it", run: () => push("annotation_propose") }]
       : []),
     "-",
+    ...folding(app, node),
     { text: "Copy its name", run: () => copy(stream, "Name copied") },
     { text: "Copy its name in expressions", run: () => copy(derivation(stream), "Name copied") },
+    ...(address ? [{ text: `Copy ${short(address)}`, run: () => copy(address, "Name copied") }] : []),
     ...(path ? [{ text: "Copy the path of its recording", run: () => copy(path, "Path copied") }] : []),
     ...(type ? [{ text: `Copy its type: ${short(type)}`, run: () => copy(type, "Type copied") }] : []),
+  ];
+}
+
+function groupItems(app, node) {
+  const { group: path } = node.dataset;
+  return [
+    { text: "Properties", run: () => app.options.push?.("select", { path, only: true }) },
+    "-",
+    ...folding(app, node),
+    { text: "Copy its name", run: () => copy(path, "Name copied") },
+  ];
+}
+
+// Of a row that others stand under.
+function folding(app, node) {
+  const { group: path } = node.dataset;
+  if (!path) return [];
+  const all = (open) => () => app.options.push?.("fold_below", { path, open });
+  const open = node.getAttribute("aria-expanded") === "true";
+  return [
+    { text: open ? "Fold it" : "Unfold it", run: () => app.options.push?.("toggle", { path }) },
+    { text: "Fold all below it", run: all(false) },
+    { text: "Unfold all below it", run: all(true) },
+    "-",
   ];
 }
 

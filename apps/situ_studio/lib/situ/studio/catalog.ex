@@ -43,6 +43,7 @@ defmodule Situ.Studio.Catalog do
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts) do
     settings = %{
+      path: opts[:path],
       read_only: opts[:read_only] || false,
       visualizers: opts[:visualizers] || [],
       tiles: opts[:tiles],
@@ -61,7 +62,9 @@ defmodule Situ.Studio.Catalog do
   @doc false
   def watches(id), do: via({id, :watches})
 
-  @doc "Settings that pages ask for: `:read_only`, `:visualizers`, `:layouts`, `:tiles`, the `:problems` of plug-ins."
+  @doc """
+  Settings that pages ask for: `:path`, `:read_only`, `:visualizers`, `:layouts`, `:tiles`, the `:problems` of plug-ins.
+  """
   @spec settings(id()) :: map()
   def settings(id) do
     # beside its name: nobody waits for a catalog that opens a recording

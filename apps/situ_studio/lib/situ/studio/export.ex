@@ -32,13 +32,8 @@ defmodule Situ.Studio.Export do
     name = String.trim(name)
 
     cond do
-      not (String.valid?(name) and name =~ @name) ->
-        {:error,
-         Error.new(:bad_name, "#{inspect(name)} cannot be a recording's name",
-           why:
-             "it has 1 to 60 letters, digits, spaces, dots, dashes, and begins with a letter or digit",
-           fix: "choose another"
-         )}
+      check_name(name) != :ok ->
+        check_name(name)
 
       to <= from ->
         {:error,
@@ -51,6 +46,21 @@ defmodule Situ.Studio.Export do
 
       true ->
         {:ok, %__MODULE__{name: name, from: from, to: to, streams: streams}}
+    end
+  end
+
+  @doc "Whether a file of that name can be made: on every file system, and nowhere else than in its folder."
+  @spec check_name(String.t()) :: :ok | {:error, Error.t()}
+  def check_name(name) do
+    if String.valid?(name) and name =~ @name do
+      :ok
+    else
+      {:error,
+       Error.new(:bad_name, "#{inspect(name)} cannot be the name of a file",
+         why:
+           "it has 1 to 60 letters, digits, spaces, dots, dashes, and begins with a letter or digit",
+         fix: "choose another"
+       )}
     end
   end
 

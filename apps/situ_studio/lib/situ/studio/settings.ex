@@ -14,7 +14,7 @@ defmodule Situ.Studio.Settings do
   |---|---|---|
   | `layout` | the layout a recording opens with, where its address names none | `Automatic` |
   | `keep` | `:by_hand`: a changed layout is saved on request; `:at_once`: with each change | `:by_hand` |
-  | `info` | beside the streams' names: `:rate`, `:count`, `:size` or `:latency` | `:rate` |
+  | `info` | beside the streams' names: one of `Situ.Studio.Figures.choices/0` | `:rate` |
   | `alerts` | rules held against running pipelines, one a line (`Situ.Studio.Alerts.Rule`) | none |
   """
   alias Situ.Error
@@ -22,7 +22,7 @@ defmodule Situ.Studio.Settings do
   alias Situ.Studio.Layout
 
   @keeps [:by_hand, :at_once]
-  @infos [:rate, :count, :size, :latency]
+  @infos Keyword.keys(Situ.Studio.Figures.choices())
   @max_bytes 100_000
 
   defstruct layout: Layout.Auto.name(), keep: :by_hand, info: :rate, alerts: ""

@@ -73,7 +73,7 @@ defmodule Situ.Studio.StreamInfo do
           latency: number() | nil,
           rate: float() | nil,
           keys: [String.t()],
-          details: [{String.t(), String.t()}]
+          details: [{String.t(), String.t() | {:time, Situ.Time.t()}}]
         }
 
   @doc "All shapes."

@@ -11,16 +11,19 @@ defmodule Situ.Studio.Tree do
   alias Situ.Studio.NaturalOrder
 
   defmodule Row do
-    @moduledoc "One line of the tree. `item` is `nil` for a mere group; `open?` is `nil` for a leaf."
+    @moduledoc """
+    One line of the tree. `item` is `nil` for a mere group; `open?` is `nil` for a leaf; `under` are the items below it.
+    """
     @enforce_keys [:path, :label, :depth]
-    defstruct [:path, :label, :depth, :item, :open?]
+    defstruct [:path, :label, :depth, :item, :open?, under: []]
 
     @type t :: %__MODULE__{
             path: String.t(),
             label: String.t(),
             depth: non_neg_integer(),
             item: term(),
-            open?: boolean() | nil
+            open?: boolean() | nil,
+            under: [term()]
           }
   end
 
@@ -59,9 +62,22 @@ defmodule Situ.Studio.Tree do
       path = prefix <> label
       leaf? = children == %{}
       open? = if leaf?, do: nil, else: path not in closed
-      row = %Row{path: path, label: label, depth: depth, item: item, open?: open?}
+
+      row = %Row{
+        path: path,
+        label: label,
+        depth: depth,
+        item: item,
+        open?: open?,
+        under: items(children)
+      }
+
       [row | if(open?, do: rows(children, path <> ".", depth + 1, closed), else: [])]
     end
+  end
+
+  defp items(tree) do
+    Enum.flat_map(tree, fn {_, {item, children}} -> List.wrap(item) ++ items(children) end)
   end
 
   @doc """

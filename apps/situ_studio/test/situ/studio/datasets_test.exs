@@ -5,7 +5,7 @@ defmodule Situ.Studio.DatasetsTest do
   alias Situ.Live.Test, as: Page
   alias Situ.{Dataset, Message, Store}
   alias Situ.Studio.{Batch, Catalog, Datasets, Source}
-  alias Situ.Studio.Web.DatasetView
+  alias Situ.Studio.Web.{DatasetView, HomeView}
 
   @moduletag :tmp_dir
   @s 1_000_000_000
@@ -194,6 +194,106 @@ defmodule Situ.Studio.DatasetsTest do
     end
 
     assert Page.count(page, "#tree .session") == 3
+  end
+
+  test "folders become sessions; what is there already is passed over and told", context do
+    %{studio: studio, study: file, dir: dir} = context
+    record(Path.join(dir, "day 1/am"), "x", 100)
+    record(Path.join(dir, "day 1/pm"), "y", 200)
+    record(Path.join(dir, "day 1/c"), "z", 300)
+    Catalog.look_again(studio)
+    page = mount(studio)
+
+    add = fn what, path, folder ->
+      Page.event(page, "folders", %{"what" => what, "path" => path})
+      Page.event(page, "add_folder", %{"folder" => folder})
+      {:ok, dataset} = Dataset.load(file)
+      {List.last(Page.pushed(page, "toast"))["text"], dataset}
+    end
+
+    assert {"2 sessions added; there already: c", dataset} = add.("sessions", [], "day 1")
+    assert Enum.map(dataset.sessions, & &1.name) == ["a/b", "bad", "c", "am", "pm"]
+    assert {"1 recording added", dataset} = add.("recordings", ["c"], "day 1/c")
+    assert Enum.map(Enum.at(dataset.sessions, 2).partitions, & &1.name) == ["Room", "z"]
+    assert {"0 sessions added; there already: " <> _, ^dataset} = add.("session", [], "day 1")
+    # a folder that is none of the studio's
+    assert {_, ^dataset} = add.("session", [], "../..")
+  end
+
+  test "recordings are deleted with their session, in all sessions, and not while others use them",
+       context do
+    %{studio: studio, study: file, dir: dir} = context
+    {:ok, server} = Datasets.open(studio, file)
+    shared = Path.join(dir, "room-30.0000")
+    {:ok, _} = Datasets.edit(server, file, &Dataset.add_partition(&1, "a/b", "Shared", shared))
+    page = mount(studio)
+    Page.event(page, "delete", %{"path" => ["c"]})
+    assert List.last(Page.pushed(page, "toast"))["text"] =~ "other sessions use its recording"
+    assert Store.exists?(shared)
+    Page.event(page, "delete", %{"path" => ["bad", "Room"]})
+    refute Store.exists?(Path.join(dir, "room-20.0000"))
+    Page.event(page, "delete", %{"path" => ["a/b"]})
+    assert List.last(Page.pushed(page, "toast"))["text"] =~ "other sessions"
+    Page.event(page, "remove", %{"path" => ["a/b", "Shared"]})
+    Page.event(page, "delete_all", %{"path" => ["c", "Room"]})
+    refute Store.exists?(shared)
+    refute Store.exists?(Path.join(dir, "room-10.0000"))
+    {:ok, dataset} = Dataset.load(file)
+
+    assert for(s <- dataset.sessions, do: {s.name, s.partitions}) == [
+             {"a/b", []},
+             {"bad", []},
+             {"c", []}
+           ]
+  end
+
+  test "another recording is taken for one that was moved; a copy is saved once", context do
+    %{studio: studio, study: file, dir: dir} = context
+    Store.rename(Path.join(dir, "room-30.0000"), "moved")
+    Catalog.look_again(studio)
+    page = mount(studio)
+    Page.event(page, "relocate", %{"path" => ["c", "Room"]})
+    Page.event(page, "take", %{"chosen" => "moved.0000"})
+    {:ok, dataset} = Dataset.load(file)
+    assert [%{name: "Room", path: path}] = List.last(dataset.sessions).partitions
+    assert path == Path.join(dir, "moved.0000")
+
+    for {name, said} <- [{"../escaped", "cannot be"}, {"copy", nil}, {"copy.json", "already"}] do
+      Page.event(page, "ask", %{"what" => "copy", "path" => []})
+      Page.event(page, "answer", %{"text" => name})
+      if said, do: assert(List.last(Page.pushed(page, "toast"))["text"] =~ said)
+    end
+
+    assert Page.pushed(page, "go") == [%{"href" => "d/copy.json"}]
+    assert {:ok, %{sessions: [_, _, _]}} = Dataset.load(Path.join(dir, "copy.json"))
+  end
+
+  test "the list makes a dataset, and tells what lies there for what it is", context do
+    %{studio: studio, dir: dir} = context
+    File.write!(Path.join(dir, "broken.wav"), "no sound")
+    record(dir, "room-10.0000-annotation-Speech", 10)
+
+    home = fn session ->
+      Page.mount(HomeView, path: "/", session: Map.put(session, "studio", studio))
+    end
+
+    page = home.(%{})
+    assert eventually(fn -> Page.text(page, ".list") =~ "cannot be opened" end)
+    assert Page.text(page, ".item[href='s/broken.wav'] .dim") =~ ~r/^recording\d{4}-/
+    assert Page.text(page, ".list") =~ "annotations of room-10.0000"
+    Page.event(page, "new_dataset", %{"name" => "Second/study"})
+    assert Page.pushed(page, "go") == []
+    Page.event(page, "new_dataset", %{"name" => "Second study"})
+    assert Page.pushed(page, "go") == [%{"href" => "d/Second%20study.json"}]
+
+    assert {:ok, %{name: "Second study", sessions: []}} =
+             Dataset.load(Path.join(dir, "Second study.json"))
+
+    # those who may only look make none
+    viewer = home.(%{"viewer" => true})
+    assert Page.count(viewer, "#new-dataset") == 0
+    Page.event(viewer, "new_dataset", %{"name" => "Third"})
+    refute File.exists?(Path.join(dir, "Third.json"))
   end
 
   defp mount(studio) do

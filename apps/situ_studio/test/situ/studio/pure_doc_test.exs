@@ -47,6 +47,9 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Source.Session
   doctest Situ.Studio.Datasets.Place
   doctest Situ.Studio.Datasets.Facts
+  doctest Situ.Studio.Datasets.Folders
+  doctest Situ.Studio.Figures
+  doctest Situ.Studio.Members
   doctest Situ.Studio.Batch.Run
   doctest Situ.Studio.Batch.Form
   doctest Situ.Studio.Batch.Configurations

@@ -3,7 +3,7 @@ defmodule Situ.Studio.Datasets.Facts do
   Facts about a recording or a dataset for lists: times, streams, size, sessions, or why it cannot be opened.
   """
   alias Situ.{Dataset, Error, Store}
-  alias Situ.Studio.{Source, StreamInfo}
+  alias Situ.Studio.{Figures, Source, StreamInfo}
 
   defstruct streams: [],
             from: nil,
@@ -29,9 +29,24 @@ defmodule Situ.Studio.Datasets.Facts do
   @spec of(Path.t()) :: t()
   def of(path) do
     case Source.Store.open(path) do
-      {:ok, source} -> of_source(source)
+      {:ok, source} -> sized(of_source(source), path)
       {:error, error} -> %__MODULE__{error: error}
     end
+  end
+
+  # The streams of a film are much larger than its file: a recording that is one file is as large as that.
+  defp sized(facts, path) do
+    case File.stat(path) do
+      {:ok, %{type: :regular, size: size}} when facts.error == nil -> %{facts | size: size}
+      _ -> facts
+    end
+  end
+
+  @doc "The figures of recordings together."
+  @spec figures([t()]) :: Figures.t()
+  def figures(facts) do
+    sum = facts |> Enum.flat_map(& &1.streams) |> Figures.sum()
+    %{sum | bytes: facts |> Enum.map(& &1.size) |> Enum.sum()}
   end
 
   @doc "Of the dataset in a file: how many sessions it has. Its recordings are not opened, there may be thousands."

@@ -9,7 +9,7 @@ defmodule Situ.Studio.Source.Store do
 
   alias Situ.{Error, Store}
   alias Situ.Store.Formats
-  alias Situ.Studio.{Source, StreamInfo}
+  alias Situ.Studio.{Figures, Source, StreamInfo}
   alias Situ.Studio.Draw.{Bins, Messages}
 
   @enforce_keys [:store, :path, :cache]
@@ -140,10 +140,15 @@ defmodule Situ.Studio.Source.Store do
   defp stream(source, info) do
     details =
       [
-        {"On disk", info.stored > 0 && Situ.Studio.Web.Side.bytes(info.stored)},
-        {"Average size",
-         info.count > 0 && Situ.Studio.Web.Side.bytes(div(info.size, info.count))},
-        {"Compression", info.compression != :none && to_string(info.compression)}
+        {"On disk", info.stored > 0 && Figures.bytes(info.stored)},
+        {"Average size", info.count > 0 && Figures.bytes(div(info.size, info.count))},
+        {"Compression", info.compression != :none && to_string(info.compression)},
+        {"Large messages", info.large? && "kept apart"},
+        {"First made", info.first_creation && {:time, info.first_creation}},
+        {"Last made", info.last_creation && {:time, info.last_creation}},
+        {"Opened", info.opened && {:time, info.opened}},
+        {"Closed", info.closed && {:time, info.closed}},
+        {"Id", info.id && to_string(info.id)}
       ]
       |> Enum.filter(&elem(&1, 1))
 

@@ -5,8 +5,8 @@ defmodule Situ.Studio.Web.ClusterView do
   use Situ.Live.View
   import Situ.Studio.Web.Icons
   alias Situ.Cluster.Overview
-  alias Situ.Studio.ClusterRates
-  alias Situ.Studio.Web.{Address, Side}
+  alias Situ.Studio.{ClusterRates, Figures}
+  alias Situ.Studio.Web.Address
 
   @refresh_ms 1_000
 
@@ -99,7 +99,7 @@ defmodule Situ.Studio.Web.ClusterView do
             <td>{parts_of(@now, n.node)}</td>
             <td>{cores(n)}</td>
             <td>{percent(n.machine)}</td>
-            <td>{n.memory && Side.bytes(n.memory)}</td>
+            <td>{n.memory && Figures.bytes(n.memory)}</td>
             <td>{ms(n.trip)}</td>
           </tr>
         </tbody>
@@ -199,7 +199,7 @@ defmodule Situ.Studio.Web.ClusterView do
   defp rate(nil), do: nil
   defp rate(n), do: fixed(n, 1)
   defp bytes(nil), do: nil
-  defp bytes(n), do: Side.bytes(round(n))
+  defp bytes(n), do: Figures.bytes(round(n))
   defp ms(nil), do: nil
   defp ms(ns), do: fixed(ns / 1.0e6, 2) <> " ms"
   defp clock(%{offset: nil}), do: nil

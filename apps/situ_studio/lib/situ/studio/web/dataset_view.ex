@@ -4,13 +4,12 @@ defmodule Situ.Studio.Web.DatasetView do
   use Situ.Live.View
 
   alias Situ.Dataset.Server
-  alias Situ.Studio.{Batch, Catalog, Datasets}
+  alias Situ.Studio.{Batch, Catalog, Datasets, Export, Figures}
   alias Situ.Studio.Datasets.Facts
   alias Situ.Studio.Web.Dataset.{BatchDialog, Dialogs, Edits, Page}
   alias Situ.Studio.Web.Chrome
 
   @refresh_ms 2_000
-  @infos [:duration, :began, :size, :streams]
 
   @impl true
   def mount(params, session, socket) do
@@ -74,12 +73,9 @@ defmodule Situ.Studio.Web.DatasetView do
   end
 
   @impl true
-  def handle_event("search", %{"query" => query}, socket) when is_binary(query),
-    do: {:noreply, assign(socket, query: String.slice(query, 0, 200))}
-
-  def handle_event("info_next", _, socket) do
-    i = Enum.find_index(@infos, &(&1 == socket.assigns.info))
-    {:noreply, assign(socket, info: Enum.at(@infos, rem(i + 1, length(@infos))))}
+  def handle_event("search", %{"query" => query} = params, socket) when is_binary(query) do
+    info = Figures.choice(params["info"], socket.assigns.info)
+    {:noreply, assign(socket, query: String.slice(query, 0, 200), info: info)}
   end
 
   def handle_event("fold_all", _, socket), do: {:noreply, assign(socket, open: MapSet.new())}
@@ -87,6 +83,21 @@ defmodule Situ.Studio.Web.DatasetView do
   def handle_event("unfold_all", _, socket) do
     open = for s <- socket.assigns.dataset.sessions, into: MapSet.new(), do: [s.name]
     {:noreply, assign(socket, open: open)}
+  end
+
+  def handle_event("fold_below", params, socket) do
+    %{dataset: dataset, open: open} = socket.assigns
+    path = Edits.path(params)
+
+    all =
+      for s <- dataset.sessions,
+          row <- [[s.name] | Enum.map(s.partitions, &[s.name, &1.name])],
+          List.starts_with?(row, path),
+          into: MapSet.new(),
+          do: row
+
+    change = if params["open"], do: &MapSet.union/2, else: &MapSet.difference/2
+    {:noreply, assign(socket, open: change.(open, all))}
   end
 
   def handle_event("toggle", params, socket) do
@@ -114,9 +125,23 @@ defmodule Situ.Studio.Web.DatasetView do
   def handle_event("task", params, socket),
     do: {:noreply, BatchDialog.open(socket, params["task"], Edits.path(params))}
 
+  # A copy of a part takes as long as it takes; it goes on when the page is closed.
+  def handle_event("save_part", params, %{assigns: %{dialog: {:export, _, _}}} = socket) do
+    case Edits.part(params, socket.assigns.dialog) do
+      {:ok, export, item} ->
+        page = self()
+        task = {Task, fn -> send(page, {:exported, Export.run(export, item)}) end}
+        {:ok, _} = DynamicSupervisor.start_child(Catalog.watches(socket.assigns.studio), task)
+        {:noreply, socket |> assign(dialog: nil) |> toast("Saving #{export.name} ...")}
+
+      {:error, error} ->
+        {:noreply, toast(socket, Exception.message(error))}
+    end
+  end
+
   def handle_event(event, params, %{assigns: %{server: _}} = socket) do
     case Edits.apply(event, params, socket.assigns) do
-      {:ok, changes} -> {:noreply, socket |> assign(changes) |> look()}
+      {:ok, changes} -> {:noreply, changed(socket, changes)}
       {:error, error} -> {:noreply, toast(socket, Exception.message(error))}
       :ignore -> {:noreply, socket}
     end
@@ -124,7 +149,24 @@ defmodule Situ.Studio.Web.DatasetView do
 
   def handle_event(_, _, socket), do: {:noreply, socket}
 
+  # An edit may have something to say, or lead elsewhere, beside what it changes.
+  defp changed(socket, changes) do
+    {said, changes} = Keyword.pop(changes, :said)
+    {go, changes} = Keyword.pop(changes, :go)
+    socket = socket |> assign(changes) |> look()
+    socket = if said, do: toast(socket, said), else: socket
+    if go, do: push_event(socket, "go", %{href: go}), else: socket
+  end
+
   @impl true
+  def handle_info({:exported, {:ok, path}}, socket) do
+    Catalog.look_again(socket.assigns.studio)
+    {:noreply, toast(socket, "Saved as #{path}")}
+  end
+
+  def handle_info({:exported, {:error, error}}, socket),
+    do: {:noreply, toast(socket, Exception.message(error))}
+
   def handle_info({:facts, known}, socket),
     do: {:noreply, assign(socket, facts: Map.merge(socket.assigns.facts, Map.new(known)))}
 
@@ -152,7 +194,7 @@ defmodule Situ.Studio.Web.DatasetView do
   def render(assigns) do
     ~H"""
     <div id="dataset" class="dataset" phx-hook="Lists">
-      <Page.top title={@dataset.name} file={@file} read_only={@read_only} />
+      <Page.top title={@dataset.name} file={@file} read_only={@read_only} kept={@dataset.file != nil} />
       <Page.tree {Map.take(assigns, [:dataset, :facts, :open, :query, :info, :selected, :id, :tasks, :read_only])} />
       <Page.right {Map.take(assigns, [:dataset, :facts, :selected, :id, :read_only, :runs, :now])} />
       <Dialogs.dialog :if={@dialog != nil} dialog={@dialog} />

@@ -5,10 +5,12 @@ defmodule Situ.Studio.Web.Derivation do
 
   alias Situ.Error
   alias Situ.Live.Socket
+  alias Situ.Studio.{Members, Source, StreamInfo}
   alias Situ.Studio.Source.Derived
-  alias Situ.Studio.StreamInfo
 
   @most 64
+  # So many messages say which members there are: the keys of a map may come and go.
+  @looked_at 200
 
   @doc "Facts about the derived streams; one whose input streams the recording lacks is left out."
   @spec infos(map()) :: [StreamInfo.t()]
@@ -40,6 +42,34 @@ defmodule Situ.Studio.Web.Derivation do
     with {:ok, info} <- Derived.derive(assigns.source, String.slice(text, 0, 1_000)) do
       derived = Enum.take(Enum.uniq([info.name | assigns.derived]), @most)
       {:ok, info.name, assign(socket, derived: derived)}
+    end
+  end
+
+  @doc "A derived stream for each member of a stream's values, and how many these are."
+  @spec members(Socket.t(), String.t()) ::
+          {:ok, non_neg_integer(), Socket.t()} | {:error, Error.t()}
+  def members(%{assigns: assigns} = socket, stream) do
+    with %StreamInfo{} = info <- Enum.find(assigns.infos, &(&1.name == stream)) || none(stream),
+         [_ | _] = texts <- Members.expressions(stream, looked_at(assigns.source, info)) do
+      names =
+        for text <- texts, {:ok, info} <- [Derived.derive(assigns.source, text)], do: info.name
+
+      derived = Enum.take(Enum.uniq(names ++ assigns.derived), @most)
+      {:ok, length(names), assign(socket, derived: derived)}
+    else
+      [] -> {:error, Error.new(:no_members, "the values of #{stream} have no members")}
+      error -> error
+    end
+  end
+
+  defp none(stream), do: {:error, Error.new(:no_stream, "there is no stream called #{stream}")}
+
+  defp looked_at(_source, %{first: nil}), do: []
+
+  defp looked_at(source, %{name: name, first: first, last: last}) do
+    case Source.sample(source, name, first, last, @looked_at) do
+      {:ok, sample} -> for {_, message} <- sample, do: message.data
+      {:error, _} -> []
     end
   end
 end

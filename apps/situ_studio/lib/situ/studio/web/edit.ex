@@ -20,11 +20,13 @@ defmodule Situ.Studio.Web.Edit do
     end
   end
 
-  def apply("add_viz", %{"stream" => stream, "viz" => id}, assigns) do
+  def apply("add_viz", %{"stream" => stream, "viz" => id} = params, assigns) do
+    into = if(is_binary(params["panel"]), do: params["panel"], else: "")
+
     with {:ok, entries} <- entries(assigns, stream) do
       case Enum.find(entries, &(&1.id == id)) do
         nil -> :ignore
-        entry -> add(assigns, stream, entry, "")
+        entry -> add(assigns, stream, entry, into)
       end
     end
   end

@@ -3,9 +3,10 @@ defmodule Situ.Studio.Web.HomeView do
   # The list of what can be looked at: datasets, running pipelines, recordings.
   use Situ.Live.View
   import Situ.Studio.Web.Icons
-  alias Situ.Studio.{Alerts, Catalog}
+  alias Situ.Dataset
+  alias Situ.Studio.{Alerts, Catalog, Export, Figures}
   alias Situ.Studio.Datasets.Facts
-  alias Situ.Studio.Web.{Address, ClusterView, Side}
+  alias Situ.Studio.Web.{Address, ClusterView}
 
   @refresh_ms 2_000
   # So many rows are on the page, and so many recordings and datasets are looked into.
@@ -22,6 +23,7 @@ defmodule Situ.Studio.Web.HomeView do
         page_title: "Situ Studio",
         query: "",
         problems: Catalog.settings(session["studio"]).problems,
+        folder: folder(Catalog.settings(session["studio"]), session),
         facts: %{},
         stamps: %{}
       )
@@ -45,13 +47,38 @@ defmodule Situ.Studio.Web.HomeView do
   def handle_event("search", %{"query" => query}, socket) when is_binary(query),
     do: {:noreply, assign(socket, query: String.slice(query, 0, 200))}
 
+  def handle_event("new_dataset", %{"name" => name}, %{assigns: %{folder: folder}} = socket)
+      when is_binary(name) and folder != nil do
+    name = String.trim(name)
+    file = Path.join(folder, name <> ".json")
+
+    with :ok <- Export.check_name(name),
+         false <- File.exists?(file),
+         {:ok, _} <- Dataset.new(name, file: file, autosave: true) do
+      Catalog.look_again(socket.assigns.studio)
+      {:noreply, push_event(socket, "go", %{href: Address.dataset(name <> ".json")})}
+    else
+      true -> {:noreply, toast(socket, "There is a #{name}.json already")}
+      {:error, error} -> {:noreply, toast(socket, Exception.message(error))}
+    end
+  end
+
   def handle_event(_event, _params, socket), do: {:noreply, socket}
+
+  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
 
   defp load(socket) do
     items = Catalog.list(socket.assigns.studio)
     socket = assign(socket, items: items)
     if connected?(socket), do: look(socket), else: socket
   end
+
+  # Where a new dataset may be made: a folder on this machine, by those who may change something.
+  defp folder(%{read_only: false, path: path}, session) when is_binary(path) do
+    if session["viewer"] != true and File.dir?(path) and not Situ.Store.exists?(path), do: path
+  end
+
+  defp folder(_, _), do: nil
 
   # Recordings are looked into by another process, one after the other: the list is there at once.
   defp look(socket) do
@@ -116,6 +143,14 @@ defmodule Situ.Studio.Web.HomeView do
       <p :if={@more > 0} class="hint">{@more} more: search to find them</p>
       <p :if={@items == []} class="hint">Nothing has been recorded here yet; new recordings appear by themselves.
         <code>bin/demo</code> makes a first recording.</p>
+      <details :if={@folder} class="new-dataset">
+        <summary>New dataset</summary>
+        <form id="new-dataset" class="search" phx-submit="new_dataset">
+          <input name="name" aria-label="Name of the new dataset" placeholder="its name" maxlength="60" required
+              autocomplete="off">
+          <button class="btn primary" type="submit">Make it</button>
+        </form>
+      </details>
       <div id="toast" role="status" phx-update="ignore"></div>
     </main>
     """
@@ -162,10 +197,10 @@ defmodule Situ.Studio.Web.HomeView do
     """
   end
 
-  defp said(item, facts), do: [kind(item.kind) | of(facts, item)] ++ List.wrap(at(item))
+  defp said(item, facts), do: [kind(item) | of(facts, item)] ++ List.wrap(at(item))
 
   defp of(nil, _), do: []
-  defp of(%{error: %{}}, %{kind: :dataset}), do: []
+  defp of(%{error: %{}}, _), do: []
   defp of(%{sessions: 1}, %{kind: :dataset}), do: ["1 session"]
   defp of(%{sessions: n}, %{kind: :dataset}), do: ["#{n} sessions"]
 
@@ -177,7 +212,7 @@ defmodule Situ.Studio.Web.HomeView do
         Facts.duration(facts),
         if(streams == 1, do: "1 stream", else: "#{streams} streams"),
         # nobody has measured how much memory a message takes
-        if(item.kind == :source, do: "", else: Side.bytes(facts.size))
+        if(item.kind == :source, do: "", else: Figures.bytes(facts.size))
       ],
       &(&1 == "")
     )
@@ -196,11 +231,18 @@ defmodule Situ.Studio.Web.HomeView do
 
   defp at(_), do: nil
 
-  defp kind(:store), do: "recording"
-  defp kind(:elsewhere), do: "recording of another machine"
-  defp kind(:pipeline), do: "running pipeline"
-  defp kind(:source), do: "in memory"
-  defp kind(:dataset), do: "dataset"
+  # Annotations lie beside what they are of, under its name (`Situ.Studio.Annotating.Shelf`).
+  defp kind(%{kind: :store, title: title}) do
+    case String.split(Path.basename(title), "-annotation-", parts: 2) do
+      [of, _] when of != "" -> "annotations of #{of}"
+      _ -> "recording"
+    end
+  end
+
+  defp kind(%{kind: :elsewhere}), do: "recording of another machine"
+  defp kind(%{kind: :pipeline}), do: "running pipeline"
+  defp kind(%{kind: :source}), do: "in memory"
+  defp kind(%{kind: :dataset}), do: "dataset"
 
   defp count(1, _, ""), do: "1 thing to look at"
   defp count(n, _, ""), do: "#{n} things to look at"

@@ -49,7 +49,7 @@ defmodule Situ.Studio.Web.KnownStreams do
   @spec kinds([Visualizer.given()]) :: String.t()
   def kinds(extra) do
     StreamInfo.shapes()
-    |> Map.new(&{&1, for(v <- Visualizers.for_shape(&1, extra), do: [v.id, v.title])})
+    |> Map.new(&{&1, for(v <- Visualizers.for_shape(&1, extra), do: [v.id, v.title, v.panel])})
     |> Situ.JSON.encode()
   end
 

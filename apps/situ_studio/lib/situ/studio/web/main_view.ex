@@ -126,13 +126,22 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   def handle_event(event, params, socket)
-      when event in ["search", "toggle", "fold_all", "unfold_all", "info_next"],
+      when event in ["search", "toggle", "fold_all", "unfold_all", "fold_below"],
       do: {:noreply, StreamTree.handle_event(event, params, socket)}
 
-  def handle_event("select", %{"path" => path}, socket) do
-    if Map.has_key?(socket.assigns.shapes, path),
-      do: {:noreply, assign(socket, selected: {:stream, path})},
-      else: {:noreply, StreamTree.handle_event("toggle", %{"path" => path}, socket)}
+  # A click on a group's name folds it, too; its menu only asks for its properties.
+  def handle_event("select", %{"path" => path} = params, socket) when is_binary(path) do
+    cond do
+      Map.has_key?(socket.assigns.shapes, path) ->
+        {:noreply, assign(socket, selected: {:stream, path})}
+
+      params["only"] ->
+        {:noreply, assign(socket, selected: {:group, path})}
+
+      true ->
+        socket = StreamTree.handle_event("toggle", %{"path" => path}, socket)
+        {:noreply, assign(socket, selected: {:group, path})}
+    end
   end
 
   def handle_event("snap", %{"stream" => stream}, socket) do
@@ -174,6 +183,17 @@ defmodule Situ.Studio.Web.MainView do
     case Derivation.add(socket, text) do
       {:ok, name, socket} ->
         handle_event("add_stream", %{"stream" => name}, load_streams(socket))
+
+      {:error, error} ->
+        {:noreply, toast(socket, error)}
+    end
+  end
+
+  def handle_event("derive_members", %{"stream" => stream}, socket) when is_binary(stream) do
+    case Derivation.members(socket, stream) do
+      {:ok, n, socket} ->
+        said = "#{n} derived streams, at the end of the tree"
+        {:noreply, socket |> load_streams() |> push_event("toast", %{text: said})}
 
       {:error, error} ->
         {:noreply, toast(socket, error)}
@@ -280,6 +300,7 @@ defmodule Situ.Studio.Web.MainView do
           |> Map.take([:shapes, :extra, :lanes, :coverage, :colors])
           |> Map.put(:damaged, assigns.damage != []),
         stream: selected_stream(assigns),
+        group: selected_group(assigns),
         panel: selected_panel(assigns),
         edit:
           if(
@@ -299,6 +320,7 @@ defmodule Situ.Studio.Web.MainView do
           annotate={Annotation.offered?(assigns)} pipeline={pipeline(@item, @infos)} />
       <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
           count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names}
+          parts={Enum.map(@item.parts, &elem(&1, 0))}
           kinds={KnownStreams.kinds(@extra)} />
       <main class="centre">
         <Chrome.damage :if={@damage != []} damage={@damage} path={@item.path} />
@@ -310,7 +332,7 @@ defmodule Situ.Studio.Web.MainView do
         <Panels.stack layout={@layout} selected={@selected} maximised={@maximised} known={@known}
           annotation={@annotation && @annotation.stream} streams={length(@infos)} />
       </main>
-      <Side.right stream={@stream} panel={@panel} known={@known} snap={@snap} />
+      <Side.right stream={@stream} group={@group} panel={@panel} known={@known} snap={@snap} />
       <QueryPanel.panel :if={@query_panel} panel={@query_panel} from={KnownStreams.begun(assigns)}
           annotate={Annotation.offered?(assigns)} />
       <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} viewer={@viewer} snap={@snap} />
@@ -329,6 +351,15 @@ defmodule Situ.Studio.Web.MainView do
     do: Enum.find(streams, &(&1.name == name))
 
   defp selected_stream(_), do: nil
+
+  defp selected_group(%{selected: {:group, path}, infos: streams}) do
+    case Enum.filter(streams, &String.starts_with?(&1.name, path <> ".")) do
+      [] -> nil
+      streams -> %{path: path, streams: streams}
+    end
+  end
+
+  defp selected_group(_), do: nil
 
   defp selected_panel(%{selected: {:panel, id}, layout: layout}), do: Layout.panel(layout, id)
   defp selected_panel(_), do: nil

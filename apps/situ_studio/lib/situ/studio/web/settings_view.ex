@@ -5,10 +5,9 @@ defmodule Situ.Studio.Web.SettingsView do
   import Situ.Studio.Web.Icons
 
   alias Situ.Studio.Alerts.Rule
-  alias Situ.Studio.{Catalog, Layout, Layouts, Settings}
+  alias Situ.Studio.{Catalog, Figures, Layout, Layouts, Settings}
 
   @keep [by_hand: "when it is saved by hand", at_once: "with every change"]
-  @info [rate: "how often", count: "how many messages", size: "size", latency: "latency"]
 
   @impl true
   def mount(_params, session, socket) do
@@ -50,7 +49,7 @@ defmodule Situ.Studio.Web.SettingsView do
 
   @impl true
   def render(assigns) do
-    assigns = assign(assigns, keep: @keep, info: @info)
+    assigns = assign(assigns, keep: @keep, info: Figures.choices())
 
     ~H"""
     <main class="home settings" id="settings" phx-hook="Lists">

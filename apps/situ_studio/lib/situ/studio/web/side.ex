@@ -3,7 +3,9 @@ defmodule Situ.Studio.Web.Side do
   # Left: recordings and the tree of streams. Right: properties of what is selected.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
-  alias Situ.Studio.{Color, Visualizer, Visualizers}
+  import Situ.Studio.Web.Times
+  alias Situ.Studio.{Color, Figures, Visualizer, Visualizers}
+  alias Situ.Studio.Web.StreamProps
 
   attr(:sources, :list, required: true)
   attr(:current, :string, required: true)
@@ -14,6 +16,7 @@ defmodule Situ.Studio.Web.Side do
   attr(:info, :atom, required: true)
   attr(:snap, :any, required: true)
   attr(:selected, :any, required: true)
+  attr(:parts, :list, default: [])
   attr(:names, :string, required: true)
   attr(:kinds, :string, required: true)
 
@@ -31,9 +34,7 @@ defmodule Situ.Studio.Web.Side do
       <form class="search" phx-change="search" phx-submit="search" id="search-form">
         <input id="search" name="query" value={@query} placeholder="Search streams  /" autocomplete="off"
             phx-debounce="80" aria-label="Search streams by name and type">
-        <button class="mini" type="button" phx-click="info_next"
-            title={"Beside the names: " <> info_title(@info) <> ". Click for " <> info_title(next_info(@info))}
-            aria-label={"Show " <> info_title(next_info(@info))}><.icon name={:info} /></button>
+        <.figure_choice info={@info} />
         <button class="mini" type="button" phx-click="fold_all" title="Fold all" aria-label="Fold all">⊟</button>
         <button class="mini" type="button" phx-click="unfold_all" title="Unfold all"
             aria-label="Unfold all">⊞</button>
@@ -44,8 +45,10 @@ defmodule Situ.Studio.Web.Side do
         <div :for={row <- @rows} :key={row.path}
             class={["node", row.item == nil && "group", selected?(row, @selected) && "selected"]}
             id={"node-" <> row.path} role="treeitem" tabindex="0" aria-expanded={expanded(row)}
+            aria-level={row.depth + 1} data-group={row.open? != nil && row.path}
             data-stream={row.item && row.item.name} data-shape={row.item && row.item.shape}
             data-type={row.item && row.item.type} data-path={row.item && row.item.path}
+            data-address={row.item && address(row.item.name, @parts)}
             draggable={if row.item, do: "true"}
             style={"padding-left: #{row.depth * 14}px"}>
           <button :if={row.open? != nil} class="fold" type="button" tabindex="-1" phx-click="toggle"
@@ -55,7 +58,8 @@ defmodule Situ.Studio.Web.Side do
           <button class="name" type="button" tabindex="-1" phx-click="select" phx-value-path={row.path}
               title={row.path}>{row.label}</button>
           <span :if={row.item && row.item.name == @snap} class="snap" title="The cursor snaps to it">◎</span>
-          <span :if={row.item} class="info">{info(@info, row.item)}</span>
+          <.figure :if={not (@info == :streams and row.item != nil)} choice={@info} figures={Figures.sum(own(row))}
+              of={if row.item, do: "one", else: "group"} />
           <button :if={row.item} class="add" type="button" tabindex="-1" phx-click="add_stream"
               phx-value-stream={row.item.name} title="Show this stream (Enter)" aria-label="show">+</button>
         </div>
@@ -71,7 +75,20 @@ defmodule Situ.Studio.Web.Side do
   end
 
   defp selected?(%{item: %{name: name}}, {:stream, name}), do: true
+  defp selected?(%{item: nil, path: path}, {:group, path}), do: true
   defp selected?(_, _), do: false
+
+  # In a session of a dataset a stream is also known by its recording there.
+  defp address("= " <> _, _), do: nil
+  defp address(_, []), do: nil
+  defp address(name, [part]), do: "[#{part}]:#{name}"
+
+  defp address(name, parts) do
+    case Enum.find(parts, &String.starts_with?(name, &1 <> ".")) do
+      nil -> nil
+      part -> "[#{part}]:" <> String.replace_prefix(name, part <> ".", "")
+    end
+  end
 
   defp expanded(%{open?: nil}), do: nil
   defp expanded(%{open?: open?}), do: to_string(open?)
@@ -85,37 +102,27 @@ defmodule Situ.Studio.Web.Side do
   defp kind(shape) when shape in [:text, :spans], do: "text"
   defp kind(_), do: ""
 
-  @infos [rate: "how often", count: "how many messages", size: "size", latency: "latency"]
+  attr(:info, :atom, required: true)
 
-  @doc "The next kind of information to show beside the streams' names."
-  @spec next_info(atom()) :: atom()
-  def next_info(info) do
-    names = Keyword.keys(@infos)
-    Enum.at(names, rem(Enum.find_index(names, &(&1 == info)) + 1, length(names)))
+  @doc "Chooses the figure beside the names; stands in the form of the search."
+  def figure_choice(assigns) do
+    assigns = assign(assigns, choices: Figures.choices())
+
+    ~H"""
+    <label class="mini pick" title={"Beside the names: " <> @choices[@info]}><.icon name={:info} /><select name="info"
+        aria-label="Beside the names"><option :for={{name, title} <- @choices} value={name}
+        selected={name == @info}>{title}</option></select></label>
+    """
   end
 
-  defp info_title(info), do: @infos[info]
-
-  defp info(:rate, stream), do: rate(stream)
-  defp info(:count, %{count: count}), do: count
-  defp info(:size, %{bytes: bytes}), do: bytes(bytes)
-  defp info(:latency, %{latency: nil}), do: ""
-  defp info(:latency, %{latency: ns}), do: Situ.Time.format_duration(round(ns))
+  # A group's figures are those of all that it holds.
+  defp own(%{item: nil, under: under}), do: under
+  defp own(%{item: stream}), do: [stream]
 
   defp found(rows, more), do: Enum.count(rows, & &1.item) + more
 
-  defp rate(%{rate: hz}) when is_number(hz),
-    do: if(hz >= 1, do: "#{number(hz)}/s", else: "#{number(hz * 60)}/min")
-
-  defp rate(%{count: 1}), do: "1"
-  defp rate(_), do: ""
-
-  @doc false
-  def number(x) when x >= 100, do: Integer.to_string(round(x))
-  def number(x) when x >= 10, do: :erlang.float_to_binary(x / 1, [:compact, decimals: 1])
-  def number(x), do: :erlang.float_to_binary(x / 1, [:compact, decimals: 2])
-
   attr(:stream, :any, required: true)
+  attr(:group, :any, default: nil)
   attr(:panel, :any, required: true)
   attr(:known, :map, required: true)
   attr(:snap, :any, required: true)
@@ -127,45 +134,16 @@ defmodule Situ.Studio.Web.Side do
       <div class="side-title">Properties<button class="mini" type="button" data-act="right" title="Hide (p)"
           aria-label="Hide the properties"><.icon name={:close} /></button></div>
       <div class="props">
-        <.stream_props :if={@stream} stream={@stream} extra={@known.extra} snap={@snap} />
+        <StreamProps.stream :if={@stream} stream={@stream} extra={@known.extra} snap={@snap} />
+        <StreamProps.group :if={@group} group={@group} />
         <.panel_props :if={@panel} panel={@panel} known={@known} />
-        <p :if={@stream == nil and @panel == nil} class="hint">Select a stream or a panel. Double click or
-          drag a stream to show it. The right mouse button has more.</p>
+        <p :if={@stream == nil and @panel == nil and @group == nil} class="hint">Select a stream or a panel. Double
+          click or drag a stream to show it. The right mouse button has more.</p>
       </div>
       <div class="split left-edge" id="split-right" phx-hook="Split" data-var="--right" data-edge="left" tabindex="0"
           role="separator" aria-orientation="vertical" aria-label="Width of the properties" aria-valuenow="15"
           aria-valuemin="5" aria-valuemax="70"></div>
     </aside>
-    """
-  end
-
-  defp stream_props(assigns) do
-    ~H"""
-    <h2>{@stream.name}</h2>
-    <div class="sub">{@stream.type}</div>
-    <dl>
-      <dt>Messages</dt><dd>{@stream.count}</dd>
-      <dt :if={rate(@stream) != ""}>Rate</dt><dd :if={rate(@stream) != ""}>{rate(@stream)}</dd>
-      <dt>Size</dt><dd>{bytes(@stream.bytes)}</dd>
-      <dt :if={@stream.first}>First</dt><dd :if={@stream.first}>{clock(@stream.first)}</dd>
-      <dt :if={@stream.last}>Last</dt><dd :if={@stream.last}>{clock(@stream.last)}</dd>
-      <dt :if={@stream.keys != []}>Lanes</dt><dd :if={@stream.keys != []}>{Enum.join(@stream.keys, ", ")}</dd>
-      <dt :if={@stream.latency}>Latency, mean</dt><dd
-          :if={@stream.latency}>{Situ.Time.format_duration(round(@stream.latency))}</dd>
-      <div :for={{name, value} <- @stream.details} style="display: contents"><dt>{name}</dt><dd>{value}</dd></div>
-    </dl>
-    <div class="hint">Show as</div>
-    <div class="choices">
-      <button :for={v <- Visualizers.for_shape(@stream.shape, @extra)} class="btn" type="button"
-          phx-click="add_viz" phx-value-stream={@stream.name} phx-value-viz={v.id}>{v.title}</button>
-    </div>
-    <div class="choices">
-      <button class="btn" type="button" phx-click="snap" phx-value-stream={@stream.name}
-          aria-pressed={to_string(@snap == @stream.name)}>
-          {if @snap == @stream.name, do: "Release the cursor", else: "Snap cursor to it"}</button>
-      <button :if={@stream.first} class="btn" type="button" phx-click="zoom_stream"
-          phx-value-stream={@stream.name}>Zoom to it</button>
-    </div>
     """
   end
 
@@ -277,13 +255,4 @@ defmodule Situ.Studio.Web.Side do
 
   defp axis(none, _) when none in [nil, :own], do: ""
   defp axis(range, i), do: range |> elem(i) |> plain()
-
-  defp clock(time),
-    do: time |> Situ.Time.to_iso8601() |> String.replace("T", " ") |> String.slice(0, 23)
-
-  @doc false
-  def bytes(n) when n < 1_000, do: "#{n} B"
-  def bytes(n) when n < 1_000_000, do: "#{number(n / 1.0e3)} kB"
-  def bytes(n) when n < 1_000_000_000, do: "#{number(n / 1.0e6)} MB"
-  def bytes(n), do: "#{number(n / 1.0e9)} GB"
 end

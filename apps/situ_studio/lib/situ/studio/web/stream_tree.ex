@@ -4,14 +4,26 @@ defmodule Situ.Studio.Web.StreamTree do
   import Situ.Live.Socket, only: [assign: 2]
 
   alias Situ.Live.Socket
-  alias Situ.Studio.{StreamInfo, Tree}
-  alias Situ.Studio.Web.Side
+  alias Situ.Studio.{Figures, StreamInfo, Tree}
 
   @max_rows 400
 
   @spec handle_event(String.t(), map(), Socket.t()) :: Socket.t()
-  def handle_event("search", %{"query" => query}, socket) when is_binary(query),
-    do: assign(socket, query: String.slice(query, 0, 200))
+  def handle_event("search", %{"query" => query} = params, socket) when is_binary(query) do
+    info = Figures.choice(params["info"], socket.assigns.info)
+    assign(socket, query: String.slice(query, 0, 200), info: info)
+  end
+
+  # All that is below a group.
+  def handle_event("fold_below", %{"path" => path, "open" => open?}, socket)
+      when is_binary(path) do
+    below = MapSet.filter(groups(socket), &(&1 == path or String.starts_with?(&1, path <> ".")))
+    closed = socket.assigns.closed
+
+    closed = if open?, do: MapSet.difference(closed, below), else: MapSet.union(closed, below)
+
+    assign(socket, closed: closed)
+  end
 
   def handle_event("toggle", %{"path" => path}, socket) when is_binary(path) do
     closed = socket.assigns.closed
@@ -23,22 +35,18 @@ defmodule Situ.Studio.Web.StreamTree do
     end
   end
 
-  def handle_event("fold_all", _, socket) do
-    groups =
-      for row <- socket.assigns.infos |> Tree.build(& &1.name) |> Tree.rows(MapSet.new()),
-          row.open?,
-          into: MapSet.new(),
-          do: row.path
-
-    assign(socket, closed: groups)
-  end
+  def handle_event("fold_all", _, socket), do: assign(socket, closed: groups(socket))
 
   def handle_event("unfold_all", _, socket), do: assign(socket, closed: MapSet.new())
 
-  def handle_event("info_next", _, socket),
-    do: assign(socket, info: Side.next_info(socket.assigns.info))
-
   def handle_event(_, _, socket), do: socket
+
+  defp groups(socket) do
+    for row <- socket.assigns.infos |> Tree.build(& &1.name) |> Tree.rows(MapSet.new()),
+        row.open?,
+        into: MapSet.new(),
+        do: row.path
+  end
 
   # Only what can be folded is remembered as folded.
   defp group?(infos, path), do: Enum.any?(infos, &String.starts_with?(&1.name, path <> "."))

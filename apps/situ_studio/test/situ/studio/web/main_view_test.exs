@@ -209,10 +209,25 @@ defmodule Situ.Studio.Web.MainViewTest do
 
   test "beside the names stands what is asked for", %{studio: studio} do
     page = open(studio)
-    beside = fn -> Page.text(page, "#tree .node[data-stream='Mic.Level'] .info") end
-    shown = for _ <- 1..4, do: beside.() |> tap(fn _ -> Page.event(page, "info_next", %{}) end)
-    assert [_rate, "1", "8 B", ""] = shown
-    assert beside.() == hd(shown)
+
+    beside = fn choice ->
+      Page.event(page, "search", %{"query" => "", "info" => choice})
+      Page.text(page, "#tree .node[data-stream='Mic.Level'] .info")
+    end
+
+    assert for(c <- ~w(count size average_size latency none), do: beside.(c)) == [
+             "1",
+             "8 B",
+             "8.0 B",
+             "",
+             ""
+           ]
+
+    # of a group: all that it holds
+    beside.("size")
+    assert Page.text(page, "#tree .node[data-group='Mic'] .info") =~ ~r/^\(\d+ B\)$/
+    Page.event(page, "search", %{"query" => "", "info" => "weight"})
+    assert Page.text(page, "#tree .node[data-stream='Mic.Level'] .info") == "8 B"
   end
 
   test "new streams appear when the page says that there are some", context do

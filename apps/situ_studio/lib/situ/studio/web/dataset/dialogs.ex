@@ -46,8 +46,96 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
     """
   end
 
+  def dialog(%{dialog: {:relocate, _, _}} = assigns) do
+    {:relocate, path, free} = assigns.dialog
+    assigns = assign(assigns, title: "Take another recording for #{List.last(path)}", free: free)
+
+    ~H"""
+    <dialog id="relocate" phx-hook="Modal" aria-label={@title}>
+      <form id="relocate-form" phx-submit="take">
+        <h3>{@title}</h3>
+        <p class="hint">For a recording that was moved or renamed. Name and metadata stay.</p>
+        <div class="pick">
+          <label :for={{id, _} <- @free}><input type="radio" name="chosen" value={id} required> {id}</label>
+          <p :if={@free == []} class="hint">Every recording of this folder is in the dataset already.</p>
+        </div>
+        <div class="choices">
+          <button :if={@free != []} class="btn primary" type="submit">Take it</button>
+          <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
+        </div>
+      </form>
+    </dialog>
+    """
+  end
+
+  def dialog(%{dialog: {:folders, _, _, _}} = assigns) do
+    {:folders, what, path, folders} = assigns.dialog
+
+    assigns =
+      assign(assigns, title: folder_title(what, path), about: about(what), folders: folders)
+
+    ~H"""
+    <dialog id="folders" phx-hook="Modal" aria-label={@title}>
+      <form id="folders-form" phx-submit="add_folder">
+        <h3>{@title}</h3>
+        <p class="hint">{@about}</p>
+        <div class="pick">
+          <label :for={{id, _} <- @folders}><input type="radio" name="folder" value={id} required>
+            {if id == ".", do: "the studio's own folder", else: id}</label>
+          <p :if={@folders == []} class="hint">There are no folders with recordings here.</p>
+        </div>
+        <div class="choices">
+          <button :if={@folders != []} class="btn primary" type="submit">Add</button>
+          <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
+        </div>
+      </form>
+    </dialog>
+    """
+  end
+
+  def dialog(%{dialog: {:export, _, _}} = assigns) do
+    {:export, item, facts} = assigns.dialog
+
+    assigns =
+      assign(assigns,
+        item: item,
+        length: Situ.Time.format_duration(facts.to - facts.from),
+        seconds: (facts.to - facts.from) / 1.0e9
+      )
+
+    ~H"""
+    <dialog id="part" phx-hook="Modal" aria-label="Save a part as a recording">
+      <form id="part-form" phx-submit="save_part">
+        <h3>Save a part of {@item.title} as a recording</h3>
+        <p class="hint">It lasts {@length}. The copy is written to {Path.dirname(@item.path)}; this recording stays as
+          it is.</p>
+        <label>Name <input name="name" value={String.slice(@item.title, 0, 50) <> " part"} maxlength="60"
+            autocomplete="off" required autofocus></label>
+        <label>From, in seconds after the beginning, or a time <input name="from" value="0"
+            autocomplete="off"></label>
+        <label>To <input name="to" value={@seconds} autocomplete="off"></label>
+        <div class="choices">
+          <button class="btn primary" type="submit">Save</button>
+          <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
+        </div>
+      </form>
+    </dialog>
+    """
+  end
+
   def dialog(%{dialog: {:task, _}} = assigns), do: BatchDialog.dialog(assigns)
 
+  defp folder_title("session", _), do: "Add a folder as one session"
+  defp folder_title("sessions", _), do: "Add each folder in a folder as a session"
+
+  defp folder_title("recordings", [session | _]),
+    do: "Add all recordings of a folder to #{session}"
+
+  defp about("session"), do: "All recordings in and below it belong to the session."
+  defp about("sessions"), do: "Sessions that the dataset has already are passed over."
+  defp about("recordings"), do: "Recordings that the session has already are passed over."
+
   defp title("session", _), do: "New session"
+  defp title("copy", _), do: "Save a copy of the dataset as"
   defp title("rename", path), do: "Rename #{List.last(path)}"
 end

@@ -5,7 +5,9 @@ defmodule Situ.Studio.Web.Dataset.Edits do
   """
   alias Situ.{Dataset, Error}
   alias Situ.Dataset.{Partition, Session}
-  alias Situ.Studio.{Catalog, Datasets}
+  alias Situ.Studio.{Catalog, Datasets, Export}
+  alias Situ.Studio.Datasets.{Deletion, Facts, Folders}
+  alias Situ.Studio.Web.Address
   alias Situ.Studio.Web.Dataset.Rows
 
   @doc """
@@ -27,7 +29,8 @@ defmodule Situ.Studio.Web.Dataset.Edits do
 
   @doc "The page's new assigns, or an error to show."
   @spec apply(String.t(), map(), map()) :: {:ok, keyword()} | {:error, Error.t()} | :ignore
-  def apply("ask", %{"what" => what} = params, _assigns) when what in ["session", "rename"] do
+  def apply("ask", %{"what" => what} = params, _assigns)
+      when what in ["session", "rename", "copy"] do
     path = path(params)
     old = if what == "rename", do: List.last(path), else: ""
     {:ok, dialog: {:ask, what, path, old}}
@@ -35,6 +38,28 @@ defmodule Situ.Studio.Web.Dataset.Edits do
 
   def apply("answer", %{"text" => text}, %{dialog: {:ask, "session", _, _}} = assigns),
     do: edited(assigns, &Dataset.add_session(&1, String.trim(text)))
+
+  # The dataset under another name beside this one, for a start of one's own or to keep what cannot be kept here.
+  def apply("answer", %{"text" => text}, %{dialog: {:ask, "copy", _, _}} = assigns) do
+    %{dataset: dataset, file: file, id: id} = assigns
+    name = text |> String.trim() |> String.replace_suffix(".json", "")
+
+    with :ok <- Export.check_name(name),
+         copy = Path.join(Path.dirname(file), name <> ".json"),
+         false <- File.exists?(copy),
+         {:ok, _} <- Dataset.save_as(%{dataset | autosave?: false}, copy) do
+      Catalog.look_again(assigns.studio)
+      at = id |> Path.dirname() |> Path.join(name <> ".json") |> Path.relative_to("./")
+      {:ok, dialog: nil, go: Address.dataset(at)}
+    else
+      true ->
+        {:error,
+         Error.new(:exists, "there is a #{name}.json already", fix: "choose another name")}
+
+      {:error, error} ->
+        {:error, error}
+    end
+  end
 
   def apply("answer", %{"text" => text}, %{dialog: {:ask, "rename", [session], _}} = assigns) do
     name = String.trim(text)
@@ -51,15 +76,62 @@ defmodule Situ.Studio.Web.Dataset.Edits do
          do: {:ok, changes ++ [selected: [session, name]]}
   end
 
-  def apply("recordings", params, assigns) do
-    taken = for s <- assigns.dataset.sessions, p <- s.partitions, into: MapSet.new(), do: p.path
+  def apply("recordings", params, assigns),
+    do: {:ok, dialog: {:recordings, path(params), free(assigns)}}
 
-    free =
-      for %{kind: :store} = item <- Catalog.list(assigns.studio),
-          item.path not in taken,
-          do: {item.id, item.path}
+  def apply("relocate", params, assigns),
+    do: {:ok, dialog: {:relocate, path(params), free(assigns)}}
 
-    {:ok, dialog: {:recordings, path(params), free}}
+  def apply("take", %{"chosen" => id}, %{dialog: {:relocate, [session, name], free}} = assigns) do
+    case List.keyfind(free, id, 0) do
+      {_, file} -> edited(assigns, &relocated(&1, session, name, file))
+      nil -> :ignore
+    end
+  end
+
+  def apply("folders", %{"what" => what} = params, assigns)
+      when what in ["session", "sessions", "recordings"] do
+    {:ok, dialog: {:folders, what, path(params), Folders.of(Catalog.list(assigns.studio))}}
+  end
+
+  def apply("add_folder", %{"folder" => id}, %{dialog: {:folders, what, path, folders}} = assigns) do
+    with {_, folder} <- List.keyfind(folders, id, 0) do
+      noun = if what == "recordings", do: "recording", else: "session"
+      told = make_ref()
+      page = self()
+
+      add = fn dataset ->
+        with {:ok, dataset, found} <- added(what, dataset, path, folder) do
+          send(page, {told, found})
+          {:ok, dataset}
+        end
+      end
+
+      with {:ok, changes} <- edited(assigns, add) do
+        receive do
+          {^told, found} -> {:ok, changes ++ [said: Folders.said(found, noun)]}
+        after
+          0 -> {:ok, changes}
+        end
+      end
+    else
+      nil -> :ignore
+    end
+  end
+
+  def apply("export", params, assigns) do
+    with [session, name] <- path(params),
+         {:ok, found} <- Dataset.session(assigns.dataset, session),
+         {:ok, partition} <- Session.partition(found, name),
+         %Facts{error: nil, from: from} = facts when from != nil <- Facts.of(partition.path) do
+      item = %Catalog.Item{id: name, title: name, kind: :store, path: partition.path}
+      {:ok, dialog: {:export, item, facts}}
+    else
+      %Facts{error: nil} -> {:error, Error.new(:empty, "the recording has no messages")}
+      %Facts{error: error} -> {:error, error}
+      {:error, error} -> {:error, error}
+      _ -> :ignore
+    end
   end
 
   def apply("add_recordings", params, %{dialog: {:recordings, path, free}} = assigns) do
@@ -98,14 +170,36 @@ defmodule Situ.Studio.Web.Dataset.Edits do
     end
   end
 
+  # The recordings go first: what cannot be deleted stays in the dataset.
   def apply("delete", params, assigns) do
-    with [session, name] <- path(params),
-         {:ok, found} <- Dataset.session(assigns.dataset, session),
-         {:ok, partition} <- Session.partition(found, name),
-         :ok <- delete(partition) do
-      edited(assigns, &Dataset.update_session(&1, session, fn s -> Session.remove(s, name) end),
-        selected: [session]
-      )
+    case path(params) do
+      [session] ->
+        with {:ok, found} <- Dataset.session(assigns.dataset, session),
+             :ok <- Deletion.all(assigns.dataset, for(p <- found.partitions, do: {session, p})),
+             do: edited(assigns, &Dataset.remove_session(&1, session), selected: [])
+
+      [session, name] ->
+        with {:ok, found} <- Dataset.session(assigns.dataset, session),
+             {:ok, partition} <- Session.partition(found, name),
+             :ok <- Deletion.all(assigns.dataset, [{session, partition}]) do
+          remove = fn dataset ->
+            Dataset.update_session(dataset, session, &Session.remove(&1, name))
+          end
+
+          edited(assigns, remove, selected: [session])
+        end
+
+      _ ->
+        :ignore
+    end
+  end
+
+  def apply("delete_all", params, assigns) do
+    with [_, name] <- path(params),
+         all =
+           for(s <- assigns.dataset.sessions, p <- s.partitions, p.name == name, do: {s.name, p}),
+         :ok <- Deletion.all(assigns.dataset, all) do
+      edited(assigns, &remove_all(&1, name), selected: [])
     else
       {:error, error} -> {:error, error}
       _ -> :ignore
@@ -167,17 +261,58 @@ defmodule Situ.Studio.Web.Dataset.Edits do
     end)
   end
 
-  defp delete(%Partition{path: path}) do
-    with {:ok, store} <- Situ.Store.open(path),
-         false <- Situ.Store.live?(store) do
-      Situ.Store.delete(path)
-    else
-      true ->
-        {:error,
-         Error.new(:live, "it is being recorded: #{path}", fix: "delete it when that has ended")}
+  defp free(assigns) do
+    taken = for s <- assigns.dataset.sessions, p <- s.partitions, into: MapSet.new(), do: p.path
 
-      {:error, error} ->
-        {:error, error}
+    for %{kind: :store} = item <- Catalog.list(assigns.studio),
+        item.path not in taken,
+        do: {item.id, item.path}
+  end
+
+  # The same partition with another recording: one that was moved or renamed.
+  defp relocated(dataset, session, name, file) do
+    Dataset.update_session(dataset, session, fn session ->
+      with {:ok, old} <- Session.partition(session, name) do
+        new = Partition.new(name, file)
+        Session.replace(session, %{new | metadata: old.metadata, extra: old.extra})
+      end
+    end)
+  end
+
+  defp added("sessions", dataset, _path, folder), do: Folders.sessions(dataset, folder)
+  defp added("session", dataset, _path, folder), do: Folders.session(dataset, folder)
+
+  defp added("recordings", dataset, [session | _], folder),
+    do: Folders.recordings(dataset, session, folder)
+
+  @doc "The part of a recording that a form asks for: seconds after its beginning, or times."
+  @spec part(map(), {:export, Catalog.Item.t(), Facts.t()}) ::
+          {:ok, Export.t(), Catalog.Item.t()} | {:error, Error.t()}
+  def part(params, {:export, item, facts}) do
+    with {:ok, from} <- moment(text(params["from"]), facts, facts.from),
+         {:ok, to} <- moment(text(params["to"]), facts, facts.to),
+         {:ok, export} <- Export.new(text(params["name"]), from, to, :all),
+         do: {:ok, export, item}
+  end
+
+  defp moment(text, facts, usual) do
+    text = String.trim(text)
+
+    case {text, Float.parse(text), Situ.Time.parse(text)} do
+      {"", _, _} ->
+        {:ok, usual}
+
+      {_, {seconds, ""}, _} when seconds >= 0 ->
+        {:ok, facts.from + round(seconds * 1.0e9)}
+
+      {_, _, {:ok, time}} ->
+        {:ok, time}
+
+      _ ->
+        {:error,
+         Error.new(:bad_time, "#{text} is no time",
+           fix: "write seconds after the beginning, such as 12.5"
+         )}
     end
   end
 

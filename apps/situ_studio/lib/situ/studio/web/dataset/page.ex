@@ -3,16 +3,19 @@ defmodule Situ.Studio.Web.Dataset.Page do
   # The parts of a dataset's page: the bar, the tree, the properties, the runs.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
+  import Situ.Studio.Web.Times
 
   alias Situ.Dataset.{Derivation.Report, Session}
   alias Situ.Studio.Batch.Run
   alias Situ.Studio.Datasets.{Facts, Place}
   alias Situ.Studio.Web.Dataset.{Menu, Rows}
-  alias Situ.Studio.Web.{Address, Side}
+  alias Situ.Studio.Figures
+  alias Situ.Studio.Web.{Address, Side, StreamProps}
 
   attr(:title, :string, required: true)
   attr(:file, :string, required: true)
   attr(:read_only, :boolean, required: true)
+  attr(:kept, :boolean, required: true)
 
   @doc false
   def top(assigns) do
@@ -22,6 +25,8 @@ defmodule Situ.Studio.Web.Dataset.Page do
       <h1 class="where" title={@file}>{@title}</h1>
       <span class="grow"></span>
       <span :if={@read_only} class="hint">read only</span>
+      <button :if={not @kept and not @read_only} class="btn" type="button" phx-click="ask" phx-value-what="copy"
+          phx-value-path="[]" title="This kind of file is only read: a copy keeps your changes">Save a copy…</button>
       <.tool act="theme" icon={:theme} title="Dark or light (t)" />
     </header>
     """
@@ -49,8 +54,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
         <input id="search" name="query" value={@query} autocomplete="off" phx-debounce="80"
             placeholder="Search sessions, tags, metadata, recordings and streams  /"
             aria-label="Search sessions, tags, metadata, recordings and streams">
-        <button class="mini" type="button" phx-click="info_next" title={"Beside the names: #{@info}"}
-            aria-label="Choose the figures beside the names"><.icon name={:info} /></button>
+        <Side.figure_choice info={@info} />
         <button class="mini" type="button" phx-click="fold_all" title="Fold all" aria-label="Fold all">⊟</button>
         <button class="mini" type="button" phx-click="unfold_all" title="Unfold all"
             aria-label="Unfold all">⊞</button>
@@ -72,7 +76,8 @@ defmodule Situ.Studio.Web.Dataset.Page do
               title={row.label}>{row.label}</button>
           <span :for={tag <- row.tags} class="tag">{tag}</span>
           <span :if={row.trouble} class="trouble" title={row.trouble}>{row.trouble}</span>
-          <span class="info">{Rows.info(row, @info)}</span>
+          <.figure :if={row.figures} choice={@info} figures={row.figures} />
+          <span :if={row.figures == nil} class="info">…</span>
           <a :if={row.kind in [:session, :partition]} class="add" tabindex="-1"
               href={Address.of(Place.id(@id, row.path))} title="Open (Enter)" aria-label={"open " <> row.label}>↗</a>
           <button class="dots" type="button" tabindex="-1" aria-haspopup="menu"
@@ -112,9 +117,19 @@ defmodule Situ.Studio.Web.Dataset.Page do
   defp shown(%{dataset: dataset, selected: []} = assigns) do
     facts = for s <- dataset.sessions, p <- s.partitions, f = assigns.facts[p.path], do: f
 
+    sums =
+      for s <- dataset.sessions,
+          do: Facts.figures(for p <- s.partitions, f = assigns.facts[p.path], do: f)
+
+    length = facts |> Facts.figures() |> Figures.in_turn(sums)
+
+    # from the first message to the last there may be weeks
     rows =
-      [{"Sessions", length(dataset.sessions)} | rows(Facts.sum(facts))] ++
-        [{"File", dataset.file}]
+      [
+        {"Sessions", length(dataset.sessions)},
+        {"All sessions last", Figures.text(:duration, length)}
+      ] ++
+        Enum.map(rows(Facts.sum(facts)), &apart/1) ++ [{"File", dataset.file}]
 
     of(dataset.name, rows, %{name: dataset.name, tags: dataset.tags, metadata: dataset.metadata})
   end
@@ -153,11 +168,11 @@ defmodule Situ.Studio.Web.Dataset.Page do
   defp rows(facts) do
     [
       {"Duration", Facts.duration(facts)},
-      {"From", time(facts.from)},
-      {"To", time(facts.to)},
+      {"From", at(facts.from)},
+      {"To", at(facts.to)},
       {"Streams", length(facts.streams)},
       {"Messages", facts.streams |> Enum.map(& &1.count) |> Enum.sum()},
-      {"Size", Side.bytes(facts.size)}
+      {"Size", Figures.bytes(facts.size)}
     ]
   end
 
@@ -176,19 +191,20 @@ defmodule Situ.Studio.Web.Dataset.Page do
     [
       {"Type", stream.type},
       {"Messages", stream.count},
-      {"Size", Side.bytes(stream.bytes)},
-      {"Rate", stream.rate && "#{Side.number(stream.rate)}/s"},
-      {"First", time(stream.first)},
-      {"Last", time(stream.last)},
+      {"Size", Figures.bytes(stream.bytes)},
+      {"Rate", Figures.text(:rate, Figures.sum([stream]))},
+      {"First", at(stream.first)},
+      {"Last", at(stream.last)},
       {"Latency, mean", stream.latency && Situ.Time.format_duration(round(stream.latency))}
       | stream.details
     ]
   end
 
-  defp time(nil), do: nil
+  defp apart({"Duration", value}), do: {"First to last", value}
+  defp apart(row), do: row
 
-  defp time(ns),
-    do: ns |> Situ.Time.to_iso8601() |> String.replace("T", " ") |> String.slice(0, 23)
+  defp at(nil), do: nil
+  defp at(ns), do: {:time, ns}
 
   attr(:id, :string, required: true)
   attr(:read_only, :boolean, required: true)
@@ -204,7 +220,8 @@ defmodule Situ.Studio.Web.Dataset.Page do
     <section class="props">
       <h2>{@title}</h2>
       <dl>
-        <div :for={{name, value} <- @rows} style="display: contents"><dt>{name}</dt><dd>{value}</dd></div>
+        <div :for={{name, value} <- @rows} style="display: contents"><dt>{name}</dt><dd><StreamProps.told
+            value={value} /></dd></div>
       </dl>
       <form :if={not @stream} id={@id} class="metadata" phx-submit="save_properties">
         <label :if={@name}>Name <input name="name" value={@name} maxlength="200" disabled={@read_only}></label>

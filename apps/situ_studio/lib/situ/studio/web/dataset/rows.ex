@@ -5,7 +5,7 @@ defmodule Situ.Studio.Web.Dataset.Rows do
   """
   alias Situ.Dataset
   alias Situ.Studio.Datasets.Facts
-  alias Situ.Studio.Web.Side
+  alias Situ.Studio.Figures
 
   @typedoc "`path` tells a row: session, partition, stream, as many as it has."
   @type row :: %{
@@ -13,7 +13,9 @@ defmodule Situ.Studio.Web.Dataset.Rows do
           kind: :dataset | :session | :partition | :stream,
           label: String.t(),
           open?: boolean() | nil,
+          figures: Figures.t() | nil,
           facts: Facts.t() | nil,
+          file: Path.t() | nil,
           stream: Situ.Studio.StreamInfo.t() | nil,
           tags: [String.t()],
           trouble: String.t() | nil
@@ -24,12 +26,13 @@ defmodule Situ.Studio.Web.Dataset.Rows do
   def of(%Dataset{} = dataset, facts, open, query) do
     words = query |> String.downcase() |> String.split()
     sessions = Enum.filter(dataset.sessions, &found?(&1, facts, words))
-    all = for s <- dataset.sessions, p <- s.partitions, f = facts[p.path], do: f
-    searching? = words != []
+    known = for s <- dataset.sessions, do: for(p <- s.partitions, f = facts[p.path], do: f)
+    sums = Enum.map(known, &Facts.figures/1)
+    figures = known |> Enum.concat() |> Facts.figures() |> Figures.in_turn(sums)
 
     [
-      row([], :dataset, dataset.name, facts: Facts.sum(all), tags: dataset.tags)
-      | Enum.flat_map(sessions, &session(&1, facts, open, searching?))
+      row([], :dataset, dataset.name, figures: figures, tags: dataset.tags)
+      | Enum.flat_map(sessions, &session(&1, facts, open))
     ]
   end
 
@@ -41,6 +44,8 @@ defmodule Situ.Studio.Web.Dataset.Rows do
         label: label,
         open?: nil,
         facts: nil,
+        figures: nil,
+        file: nil,
         stream: nil,
         tags: [],
         trouble: nil
@@ -49,7 +54,7 @@ defmodule Situ.Studio.Web.Dataset.Rows do
     )
   end
 
-  defp session(session, facts, open, searching?) do
+  defp session(session, facts, open) do
     known = for p <- session.partitions, f = facts[p.path], do: f
     open? = MapSet.member?(open, [session.name])
     troubles = Enum.count(known, &(&1.error != nil))
@@ -58,6 +63,7 @@ defmodule Situ.Studio.Web.Dataset.Rows do
       row([session.name], :session, session.name,
         open?: open?,
         facts: Facts.sum(known),
+        figures: if(known != [] or session.partitions == [], do: Facts.figures(known)),
         tags: session.tags,
         trouble:
           if(troubles > 0, do: "#{troubles} of #{length(session.partitions)} cannot be opened")
@@ -65,12 +71,12 @@ defmodule Situ.Studio.Web.Dataset.Rows do
 
     if open?,
       do: [
-        own | Enum.flat_map(session.partitions, &partition(session, &1, facts, open, searching?))
+        own | Enum.flat_map(session.partitions, &partition(session, &1, facts, open))
       ],
       else: [own]
   end
 
-  defp partition(session, partition, facts, open, _searching?) do
+  defp partition(session, partition, facts, open) do
     path = [session.name, partition.name]
     known = facts[partition.path]
     open? = MapSet.member?(open, path)
@@ -80,6 +86,8 @@ defmodule Situ.Studio.Web.Dataset.Rows do
       row(path, :partition, partition.name,
         open?: open?,
         facts: known,
+        figures: known && Facts.figures([known]),
+        file: partition.path,
         trouble:
           cond do
             error -> error.what
@@ -89,7 +97,17 @@ defmodule Situ.Studio.Web.Dataset.Rows do
       )
 
     streams = if open? and known, do: known.streams, else: []
-    [own | for(s <- streams, do: row(path ++ [s.name], :stream, s.name, stream: s))]
+
+    [
+      own
+      | for s <- streams do
+          row(path ++ [s.name], :stream, s.name,
+            stream: s,
+            figures: Figures.sum([s]),
+            file: partition.path
+          )
+        end
+    ]
   end
 
   # Every word stands somewhere: in the session's name, its tags or metadata, its recordings, or their streams.
@@ -151,19 +169,4 @@ defmodule Situ.Studio.Web.Dataset.Rows do
       {:error, _} -> text
     end
   end
-
-  @doc "Beside a row's name: how long, how much."
-  @spec info(row(), atom()) :: String.t()
-  def info(%{stream: %{} = stream}, :size), do: Side.bytes(stream.bytes)
-  def info(%{stream: %{} = stream}, :streams), do: stream.type || ""
-  def info(%{stream: %{} = stream}, _), do: "#{stream.count}"
-  def info(%{facts: nil}, _), do: "…"
-  def info(%{facts: facts}, :size), do: Side.bytes(facts.size)
-  def info(%{facts: facts}, :streams), do: "#{length(facts.streams)} streams"
-
-  def info(%{facts: %{from: from}}, :began) when from != nil,
-    do: from |> Situ.Time.to_iso8601() |> String.slice(0, 16) |> String.replace("T", " ")
-
-  def info(_, :began), do: ""
-  def info(%{facts: facts}, _duration), do: Facts.duration(facts)
 end

@@ -1,0 +1,170 @@
+defmodule Situ.Studio.Figures do
+  @moduledoc """
+  Figures beside the names in the trees of streams, recordings and sessions: of one stream, or of several together.
+
+      iex> alias Situ.Studio.{Figures, StreamInfo}
+      iex> second = 1_000_000_000
+      iex> level = %StreamInfo{name: "A", shape: :signal, count: 101, bytes: 808, latency: 2.0e6, first: 0, last: second}
+      iex> image = %StreamInfo{name: "Image", shape: :image, count: 1, bytes: 192, latency: 4.0e6, first: 0, last: 0}
+      iex> both = Figures.sum([level, image])
+      iex> for choice <- [:count, :size, :average_size, :bytes_per_second, :rate, :streams, :duration],
+      ...>     do: Figures.text(choice, both)
+      ["102", "1.0 kB", "9.8 B", "1.0 kB/s", "101/s", "2 streams", "1.00 s"]
+      iex> Figures.text(:latency, both)
+      "2.02 ms"
+  """
+  alias Situ.Studio.StreamInfo
+
+  # `length`: of several sessions, which overlap or lie days apart, that of all of them one after the other.
+  defstruct streams: 0,
+            count: 0,
+            bytes: 0,
+            from: nil,
+            to: nil,
+            length: nil,
+            rate: nil,
+            latency: nil
+
+  @type t :: %__MODULE__{
+          streams: non_neg_integer(),
+          count: non_neg_integer(),
+          bytes: non_neg_integer(),
+          from: Situ.Time.t() | nil,
+          to: Situ.Time.t() | nil,
+          length: Situ.Time.duration() | nil,
+          rate: float() | nil,
+          latency: number() | nil
+        }
+
+  @choices [
+    none: "nothing",
+    rate: "how often",
+    per_minute: "messages a minute",
+    per_hour: "messages an hour",
+    count: "how many messages",
+    duration: "how long",
+    span: "from the first message to the last",
+    began: "date and time of the first message",
+    date: "date of the first message",
+    time: "time of the first message",
+    size: "size",
+    average_size: "size of a message",
+    bytes_per_second: "bytes a second",
+    bytes_per_minute: "bytes a minute",
+    bytes_per_hour: "bytes an hour",
+    latency: "latency",
+    streams: "how many streams"
+  ]
+
+  @second 1_000_000_000
+
+  @doc "All choices with their titles."
+  @spec choices() :: [{atom(), String.t()}]
+  def choices, do: @choices
+
+  @doc """
+  A choice by its name, as a form or a file says it.
+
+      iex> Situ.Studio.Figures.choice("size", :rate)
+      :size
+      iex> Situ.Studio.Figures.choice("weight", :rate)
+      :rate
+  """
+  @spec choice(term(), atom()) :: atom()
+  def choice(text, usual) do
+    case Enum.find(@choices, fn {name, _} -> Atom.to_string(name) == text end) do
+      {name, _} -> name
+      nil -> usual
+    end
+  end
+
+  @doc "Of streams together; their latencies by how many messages each has."
+  @spec sum([StreamInfo.t()]) :: t()
+  def sum(streams) do
+    timed =
+      for %{first: first, last: last} when first != nil <- streams, do: {first, last || first}
+
+    from = timed |> Enum.map(&elem(&1, 0)) |> Enum.min(fn -> nil end)
+    to = timed |> Enum.map(&elem(&1, 1)) |> Enum.max(fn -> nil end)
+
+    count = streams |> Enum.map(& &1.count) |> Enum.sum()
+
+    %__MODULE__{
+      streams: length(streams),
+      count: count,
+      bytes: streams |> Enum.map(& &1.bytes) |> Enum.sum(),
+      from: from,
+      to: to,
+      length: from && to - from,
+      rate:
+        if(match?([_], streams), do: hd(streams).rate, else: StreamInfo.rate(count, from, to)),
+      latency: latency(streams)
+    }
+  end
+
+  @doc "The same of sessions that are to be counted one after the other."
+  @spec in_turn(t(), [t()]) :: t()
+  def in_turn(%__MODULE__{} = all, parts) do
+    lengths = for %{length: length} when length != nil <- parts, do: length
+    %{all | length: if(lengths == [], do: all.length, else: Enum.sum(lengths))}
+  end
+
+  defp latency(streams) do
+    known = for %{latency: ns, count: n} when ns != nil and n > 0 <- streams, do: {ns, n}
+    total = known |> Enum.map(&elem(&1, 1)) |> Enum.sum()
+    if total > 0, do: (known |> Enum.map(fn {ns, n} -> ns * n end) |> Enum.sum()) / total
+  end
+
+  @doc "The figure as text; empty where there is none. Times are UTC."
+  @spec text(atom(), t()) :: String.t()
+  def text(:none, _), do: ""
+  def text(:count, f), do: Integer.to_string(f.count)
+  def text(:streams, %{streams: 1}), do: "1 stream"
+  def text(:streams, f), do: "#{f.streams} streams"
+  def text(:size, f), do: bytes(f.bytes)
+  def text(:average_size, %{count: 0}), do: ""
+  def text(:average_size, f), do: bytes(f.bytes / f.count)
+  def text(:bytes_per_second, f), do: speed(f, 1, "s")
+  def text(:bytes_per_minute, f), do: speed(f, 60, "min")
+  def text(:bytes_per_hour, f), do: speed(f, 3_600, "h")
+  def text(:rate, f), do: rate(f)
+  def text(:per_minute, f), do: often(f, 60, "min")
+  def text(:per_hour, f), do: often(f, 3_600, "h")
+  def text(:latency, %{latency: nil}), do: ""
+  def text(:latency, f), do: Situ.Time.format_duration(round(f.latency))
+  def text(_, %{from: nil}), do: ""
+  def text(:duration, f), do: Situ.Time.format_duration(f.length)
+  def text(:span, f), do: Situ.Time.format_duration(f.to - f.from)
+  def text(:began, f), do: f.from |> clock() |> String.slice(0, 19)
+  def text(:date, f), do: f.from |> clock() |> String.slice(0, 10)
+  def text(:time, f), do: f.from |> clock() |> String.slice(11, 8)
+
+  defp clock(time), do: time |> Situ.Time.to_iso8601() |> String.replace("T", " ")
+
+  defp rate(%{rate: nil, count: 1}), do: "1"
+  defp rate(%{rate: nil}), do: ""
+  defp rate(%{rate: hz}) when hz >= 1, do: "#{number(hz)}/s"
+  defp rate(%{rate: hz}), do: "#{number(hz * 60)}/min"
+
+  defp often(%{rate: nil}, _, _), do: ""
+  defp often(%{rate: hz}, seconds, unit), do: "#{number(hz * seconds)}/#{unit}"
+
+  defp speed(%{length: length, bytes: bytes}, seconds, unit) when length != nil and length > 0,
+    do: "#{bytes(bytes * seconds * @second / length)}/#{unit}"
+
+  defp speed(_, _, _), do: ""
+
+  @doc "A size as people read it."
+  @spec bytes(number()) :: String.t()
+  def bytes(n) when is_integer(n) and n < 1_000, do: "#{n} B"
+  def bytes(n) when n < 1_000, do: "#{number(n)} B"
+  def bytes(n) when n < 1_000_000, do: "#{number(n / 1.0e3)} kB"
+  def bytes(n) when n < 1_000_000_000, do: "#{number(n / 1.0e6)} MB"
+  def bytes(n), do: "#{number(n / 1.0e9)} GB"
+
+  @doc "A number with about three digits."
+  @spec number(number()) :: String.t()
+  def number(x) when x >= 100, do: Integer.to_string(round(x))
+  def number(x) when x >= 10, do: :erlang.float_to_binary(x / 1, [:compact, decimals: 1])
+  def number(x), do: :erlang.float_to_binary(x / 1, [:compact, decimals: 2])
+end

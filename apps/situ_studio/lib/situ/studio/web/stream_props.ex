@@ -1,0 +1,85 @@
+defmodule Situ.Studio.Web.StreamProps do
+  @moduledoc false
+  # Facts about a stream, or about all streams of a group, at the right of the panels.
+  use Situ.Live.Component
+  import Situ.Studio.Web.Times
+  alias Situ.Studio.{Figures, Visualizers}
+
+  attr(:figures, :any, required: true)
+
+  @doc "The figures of a stream, or of several together."
+  def figures(assigns) do
+    rows =
+      for {title, choice} <- [
+            {"Messages", :count},
+            {"Rate", :rate},
+            {"Size", :size},
+            {"Latency, mean", :latency},
+            {"Duration", :span}
+          ],
+          text = Figures.text(choice, assigns.figures),
+          text != "",
+          do: {title, text}
+
+    assigns = assign(assigns, rows: rows)
+
+    ~H"""
+    <dl>
+      <div :for={{name, value} <- @rows} style="display: contents"><dt>{name}</dt><dd>{value}</dd></div>
+      <dt :if={@figures.from}>First</dt><dd :if={@figures.from}><.time ns={@figures.from} /></dd>
+      <dt :if={@figures.to}>Last</dt><dd :if={@figures.to}><.time ns={@figures.to} /></dd>
+    </dl>
+    """
+  end
+
+  attr(:value, :any, required: true)
+
+  @doc "A fact about a stream: text, or a time."
+  def told(%{value: {:time, ns}} = assigns) do
+    assigns = assign(assigns, ns: ns)
+    ~H"<.time ns={@ns} />"
+  end
+
+  def told(assigns), do: ~H"{@value}"
+
+  attr(:group, :any, required: true)
+
+  @doc "Of a group in the tree."
+  def group(assigns) do
+    ~H"""
+    <h2>{@group.path}</h2>
+    <div class="sub">{Figures.text(:streams, Figures.sum(@group.streams))} together</div>
+    <.figures figures={Figures.sum(@group.streams)} />
+    """
+  end
+
+  attr(:stream, :any, required: true)
+  attr(:extra, :list, required: true)
+  attr(:snap, :any, required: true)
+
+  @doc "Of one stream, with the ways to draw it."
+  def stream(assigns) do
+    ~H"""
+    <h2>{@stream.name}</h2>
+    <div class="sub">{@stream.type}</div>
+    <.figures figures={Figures.sum([@stream])} />
+    <dl>
+      <dt :if={@stream.keys != []}>Lanes</dt><dd :if={@stream.keys != []}>{Enum.join(@stream.keys, ", ")}</dd>
+      <div :for={{name, value} <- @stream.details} style="display: contents"><dt>{name}</dt><dd><.told
+          value={value} /></dd></div>
+    </dl>
+    <div class="hint">Show as</div>
+    <div class="choices">
+      <button :for={v <- Visualizers.for_shape(@stream.shape, @extra)} class="btn" type="button"
+          phx-click="add_viz" phx-value-stream={@stream.name} phx-value-viz={v.id}>{v.title}</button>
+    </div>
+    <div class="choices">
+      <button class="btn" type="button" phx-click="snap" phx-value-stream={@stream.name}
+          aria-pressed={to_string(@snap == @stream.name)}>
+          {if @snap == @stream.name, do: "Release the cursor", else: "Snap cursor to it"}</button>
+      <button :if={@stream.first} class="btn" type="button" phx-click="zoom_stream"
+          phx-value-stream={@stream.name}>Zoom to it</button>
+    </div>
+    """
+  end
+end

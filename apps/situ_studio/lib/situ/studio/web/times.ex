@@ -1,0 +1,45 @@
+defmodule Situ.Studio.Web.Times do
+  @moduledoc false
+  # A time in a list or among properties. It is UTC until the page's script has written it as its person wants it.
+  use Situ.Live.Component
+  alias Situ.Studio.Figures
+
+  attr(:ns, :any, required: true)
+  attr(:part, :string, default: "all")
+
+  @doc false
+  def time(%{ns: nil} = assigns), do: ~H""
+
+  def time(assigns) do
+    ~H"""
+    <time data-ns={@ns} data-part={@part}>{text(@ns, @part)}</time>
+    """
+  end
+
+  attr(:choice, :atom, required: true)
+  attr(:figures, :any, required: true)
+  attr(:of, :string, default: "one")
+
+  @doc "The figure beside a name; in brackets where it is of a group."
+  def figure(assigns) do
+    part = %{began: "both", date: "date", time: "time"}[assigns.choice]
+    text = if part, do: "", else: Figures.text(assigns.choice, assigns.figures)
+    text = if assigns.of == "group" and text != "", do: "(#{text})", else: text
+    assigns = assign(assigns, part: part, text: text)
+
+    ~H"""
+    <span class="info"><.time :if={@part} ns={@figures.from} part={@part} />{@text}</span>
+    """
+  end
+
+  defp text(ns, part) do
+    [date, clock] = ns |> Situ.Time.to_iso8601() |> String.split("T")
+
+    case part do
+      "date" -> date
+      "time" -> String.slice(clock, 0, 8) <> " UTC"
+      "both" -> "#{date} #{String.slice(clock, 0, 8)} UTC"
+      "all" -> "#{date} #{String.slice(clock, 0, 12)} UTC"
+    end
+  end
+end
