@@ -3,8 +3,8 @@ defmodule Situ.Studio.Figures do
   Figures beside the names in the trees of streams, recordings and sessions: of one stream, or of several together.
 
       iex> alias Situ.Studio.{Figures, StreamInfo}
-      iex> second = 1_000_000_000
-      iex> level = %StreamInfo{name: "A", shape: :signal, count: 101, bytes: 808, latency: 2.0e6, first: 0, last: second}
+      iex> s = 1_000_000_000
+      iex> level = %StreamInfo{name: "A", shape: :signal, count: 101, bytes: 808, latency: 2.0e6, first: 0, last: s}
       iex> image = %StreamInfo{name: "Image", shape: :image, count: 1, bytes: 192, latency: 4.0e6, first: 0, last: 0}
       iex> both = Figures.sum([level, image])
       iex> for choice <- [:count, :size, :average_size, :bytes_per_second, :rate, :streams, :duration],
