@@ -86,6 +86,22 @@ impl Camera {
         )
     }
 
+    /// The pixel that shows a point of the camera's frame, perhaps outside of the picture; `None` behind the camera and
+    /// where the lens gives no answer.
+    pub fn project(&self, [x, y, z]: [f64; 3]) -> Option<(f64, f64)> {
+        if x <= 0.0 {
+            return None;
+        }
+        let ideal = (-y / x, -z / x);
+        let (nx, ny) = if self.distorts {
+            self.distort(ideal.0, ideal.1)
+        } else {
+            self.undistort(ideal.0, ideal.1)?
+        };
+        let ((fx, fy), (cx, cy)) = (self.focal, self.principal);
+        Some((fx * nx + cx, fy * ny + cy))
+    }
+
     /// For every pixel, row by row, where its ray meets the plane at distance 1 (to the right, down); NaN for pixels
     /// that the lens cannot show.
     pub fn table(&self, undistort: bool) -> Result<Vec<[f32; 2]>> {

@@ -9,7 +9,7 @@ pub struct Depth<'a> {
     height: usize,
     stride: usize,
     data: &'a [u8],
-    scale: f32,
+    scale: f64,
     along_ray: bool,
 }
 
@@ -44,7 +44,7 @@ impl<'a> Depth<'a> {
                     height,
                     stride,
                     data,
-                    scale: scale as f32,
+                    scale,
                     along_ray,
                 })
             }
@@ -74,7 +74,12 @@ impl<'a> Depth<'a> {
             && (y - 1..=y + 1).all(|y| (x - 1..=x + 1).all(|x| self.value(x, y) != 0))
     }
 
-    fn check(&self, table: &[u8]) -> Result<()> {
+    /// Pixels in a row, and rows.
+    pub(crate) fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    pub(crate) fn check(&self, table: &[u8]) -> Result<()> {
         if table.len() == self.width * self.height * 8 {
             Ok(())
         } else {
@@ -89,7 +94,7 @@ impl<'a> Depth<'a> {
         }
     }
 
-    fn point(&self, x: usize, y: usize, table: &[u8]) -> Option<[f32; 3]> {
+    pub(crate) fn point(&self, x: usize, y: usize, table: &[u8]) -> Option<[f32; 3]> {
         let value = self.value(x, y);
         let at = (y * self.width + x) * 8;
         let ray = table.get(at..at + 8)?;
@@ -98,7 +103,7 @@ impl<'a> Depth<'a> {
         if value == 0 || !nx.is_finite() || !ny.is_finite() {
             return None;
         }
-        let mut depth = f32::from(value) * self.scale;
+        let mut depth = f32::from(value) * self.scale as f32;
         if self.along_ray {
             depth /= (nx * nx + ny * ny + 1.0).sqrt();
         }
@@ -166,9 +171,9 @@ impl<'a> Depth<'a> {
                 }
             }
         }
-        let depth = |column: usize, row: usize| {
-            f64::from(self.value(column * step, row * step)) * f64::from(self.scale)
-        };
+        // In units of the image, whole numbers: a difference of just `edge` stays.
+        let most = edge / self.scale + 1e-6;
+        let depth = |column: usize, row: usize| f64::from(self.value(column * step, row * step));
         let mut indices = Vec::new();
         for row in 1..rows {
             for column in 1..columns {
@@ -184,7 +189,7 @@ impl<'a> Depth<'a> {
                     let depths = corners.map(|(c, r)| depth(c, r));
                     let near = depths.iter().fold(f64::INFINITY, |a, b| a.min(*b));
                     let far = depths.iter().fold(0.0f64, |a, b| a.max(*b));
-                    if number.iter().all(|n| *n != u32::MAX) && far - near <= edge {
+                    if number.iter().all(|n| *n != u32::MAX) && far - near <= most {
                         number
                             .iter()
                             .for_each(|n| indices.extend_from_slice(&n.to_le_bytes()));
@@ -279,6 +284,12 @@ mod tests {
         assert_eq!((vertices.len() / 12, indices.len() / 12), (6, 2));
         let (_, all) = d.mesh(&table(3, 2), 5.0, 1)?;
         assert_eq!(all.len() / 12, 4);
+        // a step of just the edge stays, one unit more does not
+        for (far, count) in [(1200, 2), (1201, 0)] {
+            let data = depth(&[1000, far, 1000, far]);
+            let d = Depth::new((2, 2, 4), &data, 0.001, false)?;
+            assert_eq!(d.mesh(&table(2, 2), 0.2, 1)?.1.len() / 12, count);
+        }
         Ok(())
     }
 

@@ -8,6 +8,8 @@ pub mod cloud;
 pub mod depth;
 pub mod error;
 pub mod grid;
+pub mod las;
 pub mod normals;
 pub mod plane;
+pub mod register;
 pub mod room;

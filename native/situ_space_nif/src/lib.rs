@@ -6,8 +6,11 @@ use rustler::{Binary, Encoder, Env, NifTaggedEnum, NifTuple, OwnedBinary, Term};
 use situ_space::camera::Camera;
 use situ_space::depth::{Depth, Sampling};
 use situ_space::error::{fail, Code, Error, Result};
+use situ_space::register::Colored;
 use situ_space::room::{Shape, Viewpoint};
-use situ_space::{cloud, normals, plane, room};
+use situ_space::{cloud, normals, plane, register, room};
+
+mod files;
 
 mod atoms {
     rustler::atoms! { ok, error, bad_cloud, bad_depth, bad_camera, bad_option, degenerate, too_large }
@@ -159,6 +162,26 @@ fn depth_mesh<'a>(
         env,
         mesh.and_then(|(v, i)| Ok((binary(env, &v)?, binary(env, &i)?).encode(env))),
     )
+}
+
+/// `picture` is `{camera, pixels, rotation, position}`, its rotation and position of the depth camera in its frame.
+#[rustler::nif(schedule = "DirtyCpu")]
+fn depth_colors<'a>(
+    env: Env<'a>,
+    depth: DepthTerm<'a>,
+    table: Binary<'a>,
+    (camera, pixels, rotation, position): (CameraTerm, Binary<'a>, (Row, Row, Row), Row),
+) -> Term<'a> {
+    let picture = Colored {
+        camera: camera.into(),
+        pixels: pixels.as_slice(),
+        rotation: [row(rotation.0), row(rotation.1), row(rotation.2)],
+        position: row(position),
+    };
+    let colors = depth
+        .view()
+        .and_then(|d| register::colors(&d, table.as_slice(), &picture));
+    reply(env, colors.and_then(|c| Ok(binary(env, &c)?.encode(env))))
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]

@@ -15,12 +15,17 @@ defmodule Situ.Space do
   | `orientation/2` | (none) |
   """
   alias Situ.{
+    Box3,
     Interpolator,
+    Line3,
+    Mesh,
     Point3,
     PointCloud,
     Pose,
+    PoseVelocity,
     Quaternion,
     Ray3,
+    Rectangle3,
     Skeleton,
     Vector3,
     Velocity3
@@ -79,15 +84,15 @@ defmodule Situ.Space do
 
   @velocity [
     kind: [
-      type: {:in, [:linear, :angular]},
+      type: {:in, [:linear, :angular, :pose]},
       default: :linear,
-      doc: "How fast it moves, or how fast it turns."
+      doc: "How fast it moves, how fast it turns, or (a `Situ.PoseVelocity`) both."
     ]
   ]
 
   @doc """
-  How fast a stream of poses moves (or turns), from each message to the next, at the later one's time: a
-  `Situ.Velocity3`.
+  How fast a stream of poses moves, turns, or does both, from each message to the next, at the later one's time: a
+  `Situ.Velocity3` or a `Situ.PoseVelocity`.
 
   #{Situ.Options.docs(@velocity)}
   """
@@ -95,6 +100,7 @@ defmodule Situ.Space do
   def velocity(stream, opts \\ []) do
     {own, placed} = Keyword.split(opts, [:kind])
     [kind: kind] = Situ.Options.validate!(own, @velocity)
+    type = if kind == :pose, do: PoseVelocity, else: Velocity3
 
     stream
     |> Situ.scan(
@@ -105,13 +111,19 @@ defmodule Situ.Space do
       name: "Velocities"
     )
     |> Situ.filter(fn {_, velocity} -> velocity != nil end)
-    |> Situ.map(&elem(&1, 1), [name: "Velocity", type: Velocity3] ++ placed)
+    |> Situ.map(&elem(&1, 1), [name: "Velocity", type: type] ++ placed)
   end
 
   defp speed(_kind, nil, _time, _pose), do: nil
 
   defp speed(kind, {before, from}, time, to) do
-    {:ok, velocity} = apply(Velocity3, kind, [from, to, time - before])
+    {:ok, velocity} =
+      case kind do
+        :linear -> Velocity3.linear(from, to, time - before)
+        :angular -> Velocity3.angular(from, to, time - before)
+        :pose -> PoseVelocity.between(from, to, time - before)
+      end
+
     velocity
   end
 
@@ -135,8 +147,9 @@ defmodule Situ.Space do
   end
 
   @doc """
-  Moves objects from the frame of a pose to the frame in which the pose is given: poses, rays, points, skeletons and
-  clouds, and lists of them, joined with a stream of poses by `between/1` or another interpolator.
+  Moves objects from the frame of a pose to the frame in which the pose is given: poses, points, lines, rays, boxes,
+  rectangles, meshes, clouds and skeletons, and lists of them, joined with a stream of poses by `between/1` or another
+  interpolator.
   """
   @spec moved(Situ.Stream.t(), Situ.Stream.t(), Interpolator.t() | nil) :: Situ.Stream.t()
   def moved(stream, poses, interpolator \\ nil) do
@@ -155,7 +168,11 @@ defmodule Situ.Space do
   @spec move(term(), Pose.t()) :: term()
   def move(%Pose{} = inner, pose), do: Pose.compose(pose, inner)
   def move(%Ray3{} = ray, pose), do: Ray3.transform(ray, pose)
+  def move(%Line3{} = line, pose), do: Line3.transform(line, pose)
+  def move(%Box3{} = box, pose), do: Box3.transform(box, pose)
+  def move(%Mesh{} = mesh, pose), do: Mesh.transform(mesh, pose)
   def move(%Skeleton{} = body, pose), do: Skeleton.transform(body, pose)
+  def move(%Rectangle3{} = r, pose), do: %{r | pose: Pose.compose(pose, r.pose)}
 
   def move(%PointCloud{} = cloud, pose),
     do: cloud |> Cloud.transform(pose) |> Situ.Error.unwrap!()

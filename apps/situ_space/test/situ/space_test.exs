@@ -35,6 +35,9 @@ defmodule Situ.SpaceTest do
     assert length(rest) == 3
     [{_, turn} | _] = run(fn p -> Space.velocity(poses(p, @second), kind: :angular) end)
     assert_in_delta turn.magnitude, 0.2, 1.0e-9
+    [{_, both} | _] = run(fn p -> Space.velocity(poses(p, @second), kind: :pose) end)
+    assert both.linear == {1.0, 0.0, 0.0}
+    assert_in_delta Vector3.norm(both.angular), 0.2, 1.0e-9
   end
 
   test "what is given in a moving frame, in the outer one" do

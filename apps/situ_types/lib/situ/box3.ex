@@ -6,7 +6,7 @@ defmodule Situ.Box3 do
       iex> {Situ.Box3.center(box), Situ.Box3.volume(box), Situ.Box3.contains?(box, {0.5, 0.5, 2.0})}
       {{0.0, 0.0, 1.0}, 8.0, true}
   """
-  alias Situ.{Error, Pose, Ray3, Vector3}
+  alias Situ.{Error, Pose, Ray3, Rectangle3, Vector3}
 
   @enforce_keys [:min, :max]
   defstruct [:min, :max, pose: nil]
@@ -95,6 +95,42 @@ defmodule Situ.Box3 do
     ]
   end
 
+  @facets [:x_min, :x_max, :y_min, :y_max, :z_min, :z_max]
+
+  @doc "The names of the six facets."
+  @spec facets() :: [facet()]
+  def facets, do: @facets
+
+  @doc """
+  One facet, in the outer frame; its normal points out of the box.
+
+      iex> box = Situ.Box3.new!({0.0, 0.0, 0.0}, {1.0, 2.0, 3.0})
+      iex> front = Situ.Box3.facet(box, :x_max)
+      iex> {front.pose.position, front.width, front.height, Situ.Rectangle3.plane(front).normal}
+      {{1.0, 1.0, 1.5}, 2.0, 3.0, {1.0, 0.0, 0.0}}
+  """
+  @spec facet(t(), facet()) :: Rectangle3.t()
+  def facet(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box, name)
+      when name in @facets do
+    {x, y, z} = Vector3.lerp(box.min, box.max, 0.5)
+    {wide, deep, high} = size(box)
+    {up, side} = {{0.0, 0.0, 1.0}, {1.0, 0.0, 0.0}}
+
+    {at, normal, up, width, height} =
+      case name do
+        :x_min -> {{ax, y, z}, {-1.0, 0.0, 0.0}, up, deep, high}
+        :x_max -> {{bx, y, z}, {1.0, 0.0, 0.0}, up, deep, high}
+        :y_min -> {{x, ay, z}, {0.0, -1.0, 0.0}, up, wide, high}
+        :y_max -> {{x, by, z}, {0.0, 1.0, 0.0}, up, wide, high}
+        :z_min -> {{x, y, az}, {0.0, 0.0, -1.0}, side, deep, wide}
+        :z_max -> {{x, y, bz}, {0.0, 0.0, 1.0}, side, deep, wide}
+      end
+
+    {:ok, pose} = Pose.looking(at, normal, up)
+    pose = if box.pose, do: Pose.compose(box.pose, pose), else: pose
+    Rectangle3.new!(pose, width, height)
+  end
+
   @doc "Whether a point lies in the box or at most `epsilon` (metres) outside of it."
   @spec contains?(t(), Vector3.t(), number()) :: boolean()
   def contains?(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box, point, epsilon \\ 0) do
@@ -150,24 +186,24 @@ defmodule Situ.Box3 do
   @far 1.0e300
   defp slab(origin, direction, low, high, name) when abs(direction) < 1.0e-15 do
     if origin >= low and origin <= high,
-      do: {{-@far, facet(name, :min)}, {@far, facet(name, :max)}},
+      do: {{-@far, side(name, :min)}, {@far, side(name, :max)}},
       else: :miss
   end
 
   defp slab(origin, direction, low, high, name) do
     {first, last} =
-      {{(low - origin) / direction, facet(name, :min)},
-       {(high - origin) / direction, facet(name, :max)}}
+      {{(low - origin) / direction, side(name, :min)},
+       {(high - origin) / direction, side(name, :max)}}
 
     if direction > 0, do: {first, last}, else: {last, first}
   end
 
-  defp facet(:x, :min), do: :x_min
-  defp facet(:x, :max), do: :x_max
-  defp facet(:y, :min), do: :y_min
-  defp facet(:y, :max), do: :y_max
-  defp facet(:z, :min), do: :z_min
-  defp facet(:z, :max), do: :z_max
+  defp side(:x, :min), do: :x_min
+  defp side(:x, :max), do: :x_max
+  defp side(:y, :min), do: :y_min
+  defp side(:y, :max), do: :y_max
+  defp side(:z, :min), do: :z_min
+  defp side(:z, :max), do: :z_max
 
   @doc "The box, given in a pose's own frame, in the frame of the pose."
   @spec transform(t(), Pose.t()) :: t()

@@ -109,6 +109,42 @@ defmodule Situ.CameraIntrinsics do
 
   defp check(_opts), do: :ok
 
+  @doc """
+  The optics of a picture resized to so many pixels: focal lengths and principal point grow with it, the lens distorts
+  as before.
+
+      iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {500, 500})
+      iex> half = Situ.CameraIntrinsics.resize(camera, 320, 240)
+      iex> {half.width, half.focal, half.principal}
+      {320, {250.0, 250.0}, {160.0, 120.0}}
+  """
+  @spec resize(t(), pos_integer(), pos_integer()) :: t()
+  def resize(%__MODULE__{focal: {fx, fy}, principal: {px, py}} = camera, width, height)
+      when is_integer(width) and width > 0 and is_integer(height) and height > 0 do
+    {sx, sy} = {width / camera.width, height / camera.height}
+
+    %{
+      camera
+      | width: width,
+        height: height,
+        focal: {fx * sx, fy * sy},
+        principal: {px * sx, py * sy}
+    }
+  end
+
+  @doc """
+  The optics of a part of the picture: its top left corner, its width and height, in pixels.
+
+      iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {500, 500})
+      iex> part = Situ.CameraIntrinsics.crop(camera, {100, 40, 200, 100})
+      iex> {part.width, part.focal, part.principal}
+      {200, {500.0, 500.0}, {220.0, 200.0}}
+  """
+  @spec crop(t(), {integer(), integer(), pos_integer(), pos_integer()}) :: t()
+  def crop(%__MODULE__{principal: {px, py}} = camera, {x, y, width, height}) do
+    %{camera | width: width, height: height, principal: {px - x, py - y}}
+  end
+
   @impl Situ.Codec
   def codec_name, do: "situ.camera_intrinsics"
 

@@ -16,7 +16,10 @@ defmodule Situ.CameraView do
   def new(viewed, %CameraIntrinsics{} = intrinsics, %Pose{} = pose),
     do: %__MODULE__{viewed: viewed, intrinsics: intrinsics, pose: pose}
 
-  @doc "The same view of something else that the camera saw: its picture scaled, encoded, or turned to a cloud."
+  @doc """
+  The same view of something else that the camera saw: its picture encoded, converted, or turned to a cloud.
+  `Situ.Space.View` changes a picture's size, and the intrinsics with it.
+  """
   @spec map(t(viewed), (viewed -> {:ok, other} | {:error, error})) ::
           {:ok, t(other)} | {:error, error}
         when viewed: term(), other: term(), error: term()

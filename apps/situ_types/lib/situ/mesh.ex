@@ -13,7 +13,7 @@ defmodule Situ.Mesh do
   @behaviour Situ.Codec
 
   import Situ.Bits, only: [known: 1]
-  alias Situ.{Error, Pose, Vector3}
+  alias Situ.{Error, PointCloud, Pose, Ray3, Triangle3, Vector3}
 
   @enforce_keys [:vertices, :indices]
   defstruct [:vertices, :indices, pose: nil]
@@ -76,6 +76,83 @@ defmodule Situ.Mesh do
 
     if pose, do: Pose.transform(pose, {x, y, z}), else: {x, y, z}
   end
+
+  @doc """
+  Where a ray first meets the mesh, from either side, and the number of the triangle there (from 0); `nil` where it
+  misses.
+
+      iex> {:ok, mesh} = Situ.Mesh.from_lists([{1.0, -1.0, -1.0}, {1.0, 1.0, -1.0}, {1.0, 0.0, 1.0}], [{0, 1, 2}])
+      iex> {:ok, ray} = Situ.Ray3.new({0.0, 0.0, 0.0}, {1.0, 0.0, 0.0})
+      iex> Situ.Mesh.intersection(mesh, ray)
+      {{1.0, 0.0, 0.0}, 0}
+  """
+  @spec intersection(t(), Ray3.t()) :: {Vector3.t(), non_neg_integer()} | nil
+  def intersection(%__MODULE__{} = mesh, %Ray3{} = ray) do
+    local = if mesh.pose, do: Ray3.transform(ray, Pose.invert(mesh.pose)), else: ray
+
+    found =
+      best(mesh, fn triangle ->
+        with far when is_float(far) <- Triangle3.intersection(triangle, local), do: {far, far}
+      end)
+
+    with {far, number} <- found, do: {Ray3.point_at(ray, far), number}
+  end
+
+  @doc "The nearest point of the mesh's surface, and the number of its triangle; `nil` of a mesh without triangles."
+  @spec closest_point(t(), Vector3.t()) :: {Vector3.t(), non_neg_integer()} | nil
+  def closest_point(%__MODULE__{pose: pose} = mesh, point) do
+    local = if pose, do: Pose.transform(Pose.invert(pose), point), else: point
+
+    found =
+      best(mesh, fn triangle ->
+        near = Triangle3.closest_point(triangle, local)
+        {Vector3.distance(near, local), near}
+      end)
+
+    with {near, number} <- found,
+         do: {if(pose, do: Pose.transform(pose, near), else: near), number}
+  end
+
+  # Of what `fun` gives for triangles of the mesh's own frame, `{distance, answer}`, the answer with the least distance.
+  defp best(mesh, fun), do: best(mesh.indices, mesh.vertices, fun, 0, nil)
+
+  defp best(<<a::little-32, b::little-32, c::little-32, rest::binary>>, vertices, fun, n, best) do
+    found =
+      with {_, _, _} = a <- at(vertices, a),
+           {_, _, _} = b <- at(vertices, b),
+           {_, _, _} = c <- at(vertices, c),
+           do: fun.({a, b, c})
+
+    best(rest, vertices, fun, n + 1, nearer(best, found, n))
+  end
+
+  defp best(_done, _vertices, _fun, _n, nil), do: nil
+  defp best(_done, _vertices, _fun, _n, {_, answer, number}), do: {answer, number}
+
+  defp nearer(best, nil, _n), do: best
+  defp nearer({least, _, _} = best, {far, _}, _n) when least <= far, do: best
+  defp nearer(_best, {far, answer}, n), do: {far, answer, n}
+
+  # A vertex of the mesh's own frame; nil where it is none, or no number.
+  defp at(vertices, index) do
+    skipped = index * 12
+
+    case vertices do
+      <<_::binary-size(skipped), x::little-float-32, y::little-float-32, z::little-float-32,
+        _::binary>> ->
+        {x, y, z}
+
+      _ ->
+        nil
+    end
+  end
+
+  @doc "The vertices as a cloud, in the outer frame."
+  @spec to_cloud(t()) :: PointCloud.t()
+  def to_cloud(%__MODULE__{vertices: vertices, pose: nil}), do: %PointCloud{points: vertices}
+
+  def to_cloud(%__MODULE__{vertices: vertices, pose: pose}),
+    do: PointCloud.transform(%PointCloud{points: vertices}, pose)
 
   @doc "The mesh, given in a pose's own frame, in the frame of the pose."
   @spec transform(t(), Pose.t()) :: t()

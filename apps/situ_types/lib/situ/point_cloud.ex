@@ -80,14 +80,22 @@ defmodule Situ.PointCloud do
     end
   end
 
-  @doc "The cloud, given in a pose's own frame, in the frame of the pose; colours stay."
+  @doc """
+  The cloud, given in a pose's own frame, in the frame of the pose; colours stay, and so do points whose coordinates are
+  not finite. `Situ.Space.Cloud.transform/2` is the fast one.
+  """
   @spec transform(t(), Pose.t()) :: t()
-  def transform(%__MODULE__{} = cloud, %Pose{} = pose) do
-    %{points: points} =
-      cloud |> to_points() |> Enum.map(&Pose.transform(pose, &1)) |> from_points()
-
-    %{cloud | points: points}
+  def transform(%__MODULE__{points: points} = cloud, %Pose{} = pose) do
+    moved = for <<point::binary-size(12) <- points>>, into: <<>>, do: moved(point, pose)
+    %{cloud | points: moved}
   end
+
+  defp moved(<<x::little-float-32, y::little-float-32, z::little-float-32>>, pose) do
+    {x, y, z} = Pose.transform(pose, {x, y, z})
+    <<x::little-float-32, y::little-float-32, z::little-float-32>>
+  end
+
+  defp moved(not_finite, _pose), do: not_finite
 
   @impl Situ.Codec
   def codec_name, do: "situ.point_cloud"

@@ -60,5 +60,38 @@ defmodule Situ.Rectangle3 do
     Pose.transform(pose, {0.0, clamp(y, w / 2), clamp(z, h / 2)})
   end
 
+  @doc """
+  Where a pixel of a picture of so many pixels lies that fills the rectangle, as seen against the normal: `{0, 0}` is
+  the top left corner, `{width, height}` the bottom right one.
+
+      iex> wall = Situ.Rectangle3.new!(Situ.Pose.new({2.0, 0.0, 1.0}), 4, 2)
+      iex> Situ.Rectangle3.from_pixel(wall, {0, 0}, {640, 480})
+      {2.0, -2.0, 2.0}
+      iex> Situ.Rectangle3.to_pixel(wall, {2.0, 1.0, 1.0}, {640, 480})
+      {480.0, 240.0}
+  """
+  @spec from_pixel(t(), {number(), number()}, {pos_integer(), pos_integer()}) :: Vector3.t()
+  def from_pixel(%__MODULE__{pose: pose} = rectangle, {px, py}, {width, height}) do
+    y = (px / width - 0.5) * rectangle.width
+    z = (0.5 - py / height) * rectangle.height
+    Pose.transform(pose, {0.0, y, z})
+  end
+
+  @doc """
+  The pixel of a picture of so many pixels, which fills the rectangle, where a point lies that is at most `reach`
+  (metres) before or behind it; `nil` of a point that is farther off or beside it, and of a rectangle without an area.
+  """
+  @spec to_pixel(t(), Vector3.t(), {pos_integer(), pos_integer()}, number()) ::
+          {float(), float()} | nil
+  def to_pixel(rectangle, point, size, reach \\ 0.01)
+  def to_pixel(%__MODULE__{width: w, height: h}, _, _, _) when w == 0 or h == 0, do: nil
+
+  def to_pixel(%__MODULE__{pose: pose} = rectangle, point, {width, height}, reach) do
+    {x, y, z} = Pose.transform(Pose.invert(pose), point)
+    {px, py} = {(y / rectangle.width + 0.5) * width, (0.5 - z / rectangle.height) * height}
+
+    if abs(x) <= reach and px >= 0 and px <= width and py >= 0 and py <= height, do: {px, py}
+  end
+
   defp clamp(value, half), do: value |> max(-half) |> min(half)
 end

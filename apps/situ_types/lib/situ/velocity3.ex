@@ -1,7 +1,8 @@
 defmodule Situ.Velocity3 do
   @moduledoc """
   How fast and where to something moves (`:linear`, metres a second) or turns (`:angular`, radians a second around the
-  direction), and where it is.
+  direction), and where it is: its place, and how it is turned (`rotation`) where it turns. `Situ.PoseVelocity` is both
+  at once.
 
       iex> a = Situ.Pose.identity()
       iex> b = Situ.Pose.new({0.0, 1.0, 0.0})
@@ -12,13 +13,14 @@ defmodule Situ.Velocity3 do
   alias Situ.{Error, Pose, Quaternion, Vector3}
 
   @enforce_keys [:kind, :origin, :direction, :magnitude]
-  defstruct [:kind, :origin, :direction, :magnitude]
+  defstruct [:kind, :origin, :direction, :magnitude, rotation: nil]
 
   @type t :: %__MODULE__{
           kind: :linear | :angular,
           origin: Vector3.t(),
           direction: Vector3.t(),
-          magnitude: float()
+          magnitude: float(),
+          rotation: Quaternion.t() | nil
         }
 
   @doc "The velocity between two poses that are `duration` ns apart, at the later one. Rest has the direction x."
@@ -38,7 +40,8 @@ defmodule Situ.Velocity3 do
       |> Quaternion.multiply(Quaternion.inverse(from.rotation))
       |> Quaternion.to_axis_angle()
 
-    new(:angular, to.position, axis, angle, duration)
+    with {:ok, velocity} <- new(:angular, to.position, axis, angle, duration),
+         do: {:ok, %{velocity | rotation: to.rotation}}
   end
 
   defp new(kind, origin, direction, moved, duration) when is_integer(duration) and duration > 0 do
@@ -58,12 +61,26 @@ defmodule Situ.Velocity3 do
          why: "time must have passed"
        )}
 
-  @doc "Where something that moves on like this is after `duration` ns. Linear only."
-  @spec destination(t(), Situ.Time.duration()) :: Vector3.t()
+  @doc """
+  Where something that moves on like this is after `duration` ns; of something that turns, how it is turned then.
+
+      iex> turned = Situ.Pose.new({0.0, 0.0, 0.0}, Situ.Quaternion.from_euler(0.5, 0, 0))
+      iex> {:ok, velocity} = Situ.Velocity3.angular(Situ.Pose.identity(), turned, Situ.Time.ms(500))
+      iex> {yaw, _, _} = velocity |> Situ.Velocity3.destination(Situ.Time.s(1)) |> Situ.Quaternion.to_euler()
+      iex> Float.round(yaw, 9)
+      1.5
+  """
+  @spec destination(t(), Situ.Time.duration()) :: Vector3.t() | Quaternion.t()
   def destination(%__MODULE__{kind: :linear} = velocity, duration),
     do:
       Vector3.add(
         velocity.origin,
         Vector3.scale(velocity.direction, velocity.magnitude * duration / 1.0e9)
       )
+
+  def destination(%__MODULE__{kind: :angular} = velocity, duration) do
+    velocity.direction
+    |> Quaternion.from_axis_angle(velocity.magnitude * duration / 1.0e9)
+    |> Quaternion.multiply(velocity.rotation || Quaternion.identity())
+  end
 end

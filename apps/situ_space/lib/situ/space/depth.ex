@@ -36,7 +36,9 @@ defmodule Situ.Space.Depth do
     colors: [
       type: {:optional, {:struct, Situ.Image}},
       default: nil,
-      doc: "A picture of the same size that shows the same, for the points' colours."
+      doc:
+        "A picture of the same size that shows the same, for the points' colours; " <>
+          "`Situ.Space.Registration` makes one of another camera's."
     ]
   ]
 
@@ -94,7 +96,10 @@ defmodule Situ.Space.Depth do
          do: Mesh.new(vertices, indices)
   end
 
-  defp term(%DepthImage{} = d),
+  @doc false
+  # A depth image as the kernels take it.
+  @spec term(DepthImage.t()) :: tuple()
+  def term(%DepthImage{} = d),
     do: {d.width, d.height, d.stride, d.data, d.scale, d.semantics == :point}
 
   @march [
@@ -113,7 +118,8 @@ defmodule Situ.Space.Depth do
   def intersection(%CameraView{viewed: %DepthImage{}} = view, %Ray3{} = ray, opts \\ []) do
     opts = Situ.Options.validate!(opts, @march)
     local = Ray3.transform(ray, Pose.invert(view.pose))
-    steps = trunc(opts[:range] / opts[:step])
+    # as many steps as decimal numbers say: 0.3 m are three of 0.1 m
+    steps = trunc(opts[:range] / opts[:step] + 1.0e-9)
 
     Enum.find_value(1..max(steps, 1)//1, fn n ->
       point = Ray3.point_at(local, n * opts[:step])

@@ -15,7 +15,7 @@ defmodule Situ.Space.DepthCamera do
     * `Situ.Space.DepthCamera.Recorded`: a recording of any of them
   """
   alias Situ.{CameraView, DepthImage, Error, PointCloud}
-  alias Situ.Space.{Cloud, Depth}
+  alias Situ.Space.{Cloud, Depth, Registration}
 
   @enforce_keys [:depth, :color]
   defstruct [:depth, :color, others: %{}]
@@ -61,11 +61,22 @@ defmodule Situ.Space.DepthCamera do
     )
   end
 
-  @doc "The points of one view, in the frame that its pose is given in. Options as of `Situ.Space.Depth.to_cloud/3`."
+  @doc """
+  The points of one view, in the frame that its pose is given in. Options as of `Situ.Space.Depth.to_cloud/3`; `colors:`
+  may also be the view of another camera, with its lens and its pose (`Situ.Space.Registration`).
+  """
   @spec cloud(CameraView.t(DepthImage.t()), keyword()) ::
           {:ok, PointCloud.t()} | {:error, Error.t()}
   def cloud(%CameraView{viewed: %DepthImage{} = depth} = view, opts \\ []) do
-    with {:ok, points} <- Depth.to_cloud(depth, view.intrinsics, opts),
+    with {:ok, opts} <- colored(view, opts[:colors], opts),
+         {:ok, points} <- Depth.to_cloud(depth, view.intrinsics, opts),
          do: Cloud.transform(points, view.pose)
   end
+
+  defp colored(view, %CameraView{} = other, opts) do
+    with {:ok, colors} <- Registration.colors(view, other),
+         do: {:ok, Keyword.put(opts, :colors, colors)}
+  end
+
+  defp colored(_view, _picture, opts), do: {:ok, opts}
 end

@@ -13,6 +13,12 @@ defmodule Situ.Space.Native do
   def ray_table(_camera, _undistort), do: :erlang.nif_error(:not_loaded)
   def depth_cloud(_depth, _table, _sparsity, _robust, _colors), do: :erlang.nif_error(:not_loaded)
   def depth_mesh(_depth, _table, _edge, _sparsity), do: :erlang.nif_error(:not_loaded)
+  def depth_colors(_depth, _table, _picture), do: :erlang.nif_error(:not_loaded)
+  def las_unpack(_file, _records, _packing), do: :erlang.nif_error(:not_loaded)
+
+  def las_points(_records, _size, _colors, _scale, _offset),
+    do: :erlang.nif_error(:not_loaded)
+
   def downsample(_points, _size), do: :erlang.nif_error(:not_loaded)
   def thin(_records, _size, _most), do: :erlang.nif_error(:not_loaded)
   def within(_points, _colors, _planes, _most), do: :erlang.nif_error(:not_loaded)

@@ -5,7 +5,7 @@ defmodule Situ.Space.Scan do
   | ending | what is read | stream |
   |---|---|---|
   | `.glb`, `.gltf` | glTF 2.0 in one file, not compressed: the scene's triangles, without materials | `Mesh` |
-  | `.las` | LAS 1.0 to 1.4, not compressed, with colours | `Points`: a `Situ.PointCloud` |
+  | `.las`, `.laz` | LAS 1.0 to 1.4, compressed or not, with colours | `Points`: a `Situ.PointCloud` |
   | `.obj` | OBJ: vertices and faces, without materials | `Mesh`, or `Points` where there are no faces |
   | `.pcd` | PCD 0.7 as text, bytes or compressed bytes, with colours | `Points` |
   | `.ply` | PLY as text or little-endian bytes, with colours or faces | `Points`, or `Mesh`: a `Situ.Mesh` |
@@ -38,7 +38,7 @@ defmodule Situ.Space.Scan do
   def read(path), do: with({:ok, scan} <- open(path, []), do: {:ok, scan.data})
 
   @impl true
-  def extensions, do: [".glb", ".gltf", ".las", ".obj", ".pcd", ".ply", ".stl"]
+  def extensions, do: [".glb", ".gltf", ".las", ".laz", ".obj", ".pcd", ".ply", ".stl"]
 
   @impl true
   def open(path, _opts) do
@@ -48,7 +48,7 @@ defmodule Situ.Space.Scan do
          do: {:ok, %__MODULE__{path: path, data: data, origin: origin}}
   end
 
-  defp parse(".las", bytes), do: Las.read(bytes)
+  defp parse(las, bytes) when las in [".las", ".laz"], do: Las.read(bytes)
 
   defp parse(gltf, bytes) when gltf in [".glb", ".gltf"],
     do: with({:ok, data} <- Gltf.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})

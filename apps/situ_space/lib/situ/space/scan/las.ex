@@ -1,9 +1,10 @@
 defmodule Situ.Space.Scan.Las do
   @moduledoc false
-  # LAS 1.0 to 1.4, not compressed: places as whole numbers with a scale, colours where the point format has them.
+  # LAS 1.0 to 1.4, compressed (LAZ) or not: places as whole numbers with a scale, colours where the format has them.
   # Source: ASPRS, LAS Specification 1.4 R15.
   import Situ.Bits, only: [known: 1]
   alias Situ.{Error, PointCloud}
+  alias Situ.Space.Kernel
 
   # Where the colours of a point begin, by its format.
   @colors %{2 => 20, 3 => 28, 5 => 28, 7 => 30, 8 => 30, 10 => 30}
@@ -32,70 +33,78 @@ defmodule Situ.Space.Scan.Las do
       ) do
     count = if minor >= 4 and count == 0, do: long_count(file), else: count
 
-    cond do
-      format >= 128 ->
-        bad("it is compressed (LAZ)", "unpack it: laszip -i FILE.laz -o FILE.las")
+    {packed?, format} = {format >= 128, rem(format, 64)}
 
+    with :ok <- check(format, size),
+         {:ok, records} <- records(file, packed?, at, size, count),
+         scale = {sx, sy, sz},
+         colors = Map.get(@colors, format, -1),
+         arguments = [records, size, colors, scale, {ox - lx, oy - ly, oz - lz}],
+         {:ok, {points, colors}} <- Kernel.call(:las_points, arguments),
+         {:ok, cloud} <- PointCloud.new(points, if(colors != <<>>, do: colors)) do
+      {:ok, cloud, {lx, ly, lz}}
+    else
+      {:error, %Error{code: :bad_file}} = bad -> bad
+      {:error, %Error{what: what}} -> bad(what)
+    end
+  rescue
+    ArithmeticError -> bad("its points lie farther apart than can be told")
+  end
+
+  def read(_file), do: bad("its header is none")
+
+  defp check(format, size) do
+    cond do
       not is_map_key(@sizes, format) ->
         bad("its point format #{format} is not known")
 
       size < @sizes[format] ->
         bad("its points have #{size} bytes, format #{format} needs #{@sizes[format]}")
 
-      at + count * size > byte_size(file) ->
-        bad("it is cut short: #{count} points are announced")
-
       true ->
-        cloud(
-          binary_part(file, at, count * size),
-          size,
-          format,
-          {{sx, ox - lx}, {sy, oy - ly}, {sz, oz - lz}},
-          {lx, ly, lz}
-        )
+        :ok
     end
-  rescue
-    _ in [ArgumentError, ArithmeticError] -> bad("its points lie farther apart than can be told")
   end
 
-  def read(_file), do: bad("its header is none")
+  defp records(file, false, at, size, count) do
+    if at + count * size <= byte_size(file),
+      do: {:ok, binary_part(file, at, count * size)},
+      else: bad("it is cut short: #{count} points are announced")
+  end
+
+  defp records(file, true, at, size, count) do
+    case packing(file) do
+      nil -> bad("it is compressed, and does not say how")
+      packing -> Kernel.call(:las_unpack, [file, {at, size, count}, packing])
+    end
+  end
+
+  # Of the records between header and points the one that says how points are compressed.
+  defp packing(
+         <<_::binary-size(94), header::little-16, _::little-32, count::little-32, _::binary>> =
+           file
+       ),
+       do: packing(file, header, count)
+
+  defp packing(file, at, count) when count > 0 and at <= byte_size(file) do
+    case binary_part(file, at, byte_size(file) - at) do
+      <<_::16, "laszip encoded\0\0", 22_204::little-16, size::little-16, _::binary-size(32),
+        packing::binary-known(size), _::binary>> ->
+        packing
+
+      <<_::binary-size(20), size::little-16, _::binary-size(32), _::binary>> ->
+        packing(file, at + 54 + size, count - 1)
+
+      _ ->
+        nil
+    end
+  end
+
+  defp packing(_file, _at, _count), do: nil
 
   defp long_count(<<_::binary-size(247), count::little-64, _::binary>>), do: count
   defp long_count(_short), do: 0
 
-  defp cloud(points, size, format, {{sx, ox}, {sy, oy}, {sz, oz}}, origin) do
-    rest = size - 12
-
-    places =
-      for <<x::little-signed-32, y::little-signed-32, z::little-signed-32,
-            _::binary-known(rest) <- points>>,
-          into: <<>> do
-        <<x * sx + ox::little-float-32, y * sy + oy::little-float-32,
-          z * sz + oz::little-float-32>>
-      end
-
-    with {:ok, cloud} <- PointCloud.new(places, colors(points, size, @colors[format])),
-         do: {:ok, cloud, origin}
-  end
-
-  defp colors(_points, _size, nil), do: nil
-
-  # 16 bits each; many writers use only the lower 8.
-  defp colors(points, size, at) do
-    rest = size - at - 6
-
-    all =
-      for <<_::binary-known(at), r::little-16, g::little-16, b::little-16,
-            _::binary-known(rest) <- points>>,
-          do: {r, g, b}
-
-    wide? = Enum.any?(all, fn {r, g, b} -> r > 255 or g > 255 or b > 255 end)
-    by = if wide?, do: 256, else: 1
-
-    if Enum.any?(all, &(&1 != {0, 0, 0})),
-      do: for({r, g, b} <- all, into: <<>>, do: <<div(r, by), div(g, by), div(b, by)>>)
-  end
-
-  defp bad(why, fix \\ nil),
-    do: {:error, Error.new(:bad_file, "this is no LAS file that can be read", why: why, fix: fix)}
+  defp bad(why),
+    do: {:error, Error.new(:bad_file, "this is no LAS file that can be read", why: why)}
 end

@@ -1,0 +1,106 @@
+defmodule Situ.Space.Registration do
+  @moduledoc """
+  Between a depth camera and another camera beside it: which of the other's pixels shows what a pixel of depth shows,
+  where in space lies what the other's pixel shows, and the colours of a cloud.
+
+  Both are given as views (`Situ.CameraView`) with their lenses, and their poses in one frame, so that calibrations of a
+  device (a lens for each, and where one stands in the other's frame) are two views:
+
+      color_pose = Situ.Pose.compose(depth_pose, color_in_depth_frame)
+
+      iex> eye = Situ.CameraIntrinsics.new!(width: 4, height: 2, focal: {4, 4})
+      iex> lens = Situ.CameraIntrinsics.new!(width: 40, height: 20, focal: {40, 40})
+      iex> depth = Situ.DepthImage.new!(width: 4, height: 2, data: :binary.copy(<<2000::little-16>>, 8))
+      iex> seen = Situ.CameraView.new(depth, eye, Situ.Pose.identity())
+      iex> beside = Situ.CameraView.new(Situ.Image.filled(40, 20, :rgb24, :red), lens, Situ.Pose.new({0.0, 0.1, 0.0}))
+      iex> Situ.Space.Registration.pixel(seen, beside, {2, 1})
+      {:ok, {22.0, 10.0}}
+      iex> {:ok, colors} = Situ.Space.Registration.colors(seen, beside)
+      iex> Situ.Image.fetch_pixel(colors, 2, 1)
+      {:ok, [255, 0, 0]}
+  """
+  alias Situ.{CameraView, DepthImage, Error, Image, Imaging, Pose, Quaternion, Vector3}
+  alias Situ.Space.{Camera, Depth, Kernel, RayTable}
+
+  @doc """
+  The pixel of the other camera that shows what a pixel of depth (whole numbers) shows. Errors: `:unknown` where nothing
+  was measured, and those of `Situ.Space.Camera`. Whether something nearer hides it from the other camera is not looked
+  at.
+  """
+  @spec pixel(CameraView.t(DepthImage.t()), CameraView.t(), {integer(), integer()}) ::
+          {:ok, Camera.pixel()} | {:error, :unknown | :not_invertible | :behind | :outside}
+  def pixel(%CameraView{viewed: %DepthImage{} = depth} = seen, %CameraView{} = other, {x, y}) do
+    case DepthImage.fetch_distance(depth, x, y) do
+      {:ok, distance} when is_number(distance) ->
+        opts = [semantics: depth.semantics]
+
+        with {:ok, point} <- Camera.unproject(seen.intrinsics, {x, y}, distance, opts),
+             do: Camera.project_in_view(other, Pose.transform(seen.pose, point))
+
+      _ ->
+        {:error, :unknown}
+    end
+  end
+
+  @doc """
+  Where in space (the frame of the poses) lies what a pixel of the other camera shows, as far as the depth camera saw it;
+  `nil` where it did not. Options as of `Situ.Space.Depth.intersection/3`: the answer is good to one `step`.
+  """
+  @spec point(CameraView.t(DepthImage.t()), CameraView.t(), Camera.pixel(), keyword()) ::
+          Vector3.t() | nil
+  def point(%CameraView{} = seen, %CameraView{} = other, pixel, opts \\ []) do
+    case Camera.ray_in_view(other, pixel) do
+      {:ok, ray} -> Depth.intersection(seen, ray, opts)
+      {:error, :not_invertible} -> nil
+    end
+  end
+
+  @doc """
+  A picture of the depth image's size with the colours that the other camera saw: for clouds
+  (`Situ.Space.Depth.to_cloud/3`, `colors:`). Black where nothing was measured, and beside the other's picture.
+
+  `table:` is the depth camera's `Situ.Space.RayTable`, for many images.
+  """
+  @spec colors(CameraView.t(DepthImage.t()), CameraView.t(Image.t()), keyword()) ::
+          {:ok, Image.t()} | {:error, Error.t()}
+  def colors(seen, other, opts \\ [])
+
+  def colors(
+        %CameraView{viewed: %DepthImage{} = depth} = seen,
+        %CameraView{viewed: %Image{} = picture} = other,
+        opts
+      ) do
+    c = other.intrinsics
+
+    lens =
+      {picture.width, picture.height, c.focal, c.principal, c.radial, c.tangential, c.distorts?}
+
+    between = Pose.compose(Pose.invert(other.pose), seen.pose)
+
+    with :ok <- fits(picture, c),
+         {:ok, table} <- RayTable.of(opts[:table] || seen.intrinsics),
+         {:ok, rgb} <- Imaging.convert(picture, :rgb24),
+         from =
+           {lens, Image.pixels(rgb), Quaternion.to_matrix(between.rotation), between.position},
+         {:ok, data} <- Kernel.call(:depth_colors, [Depth.term(depth), table.rays, from]),
+         do: Image.new(width: depth.width, height: depth.height, format: :rgb24, data: data)
+  end
+
+  def colors(_seen, _other, _opts) do
+    {:error,
+     Error.new(:bad_image, "colours of depth are those of a view of depth in a view of a picture",
+       fix: "decode the picture first: Situ.Space.View.decode/2"
+     )}
+  end
+
+  defp fits(%{width: w, height: h}, %{width: w, height: h}), do: :ok
+
+  defp fits(picture, camera) do
+    {:error,
+     Error.new(
+       :bad_camera,
+       "a picture of #{picture.width}x#{picture.height} is not of a camera of #{camera.width}x#{camera.height}",
+       fix: "resize views by Situ.Space.View.resize/4, which resizes their intrinsics, too"
+     )}
+  end
+end

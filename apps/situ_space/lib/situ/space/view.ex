@@ -1,0 +1,129 @@
+defmodule Situ.Space.View do
+  @moduledoc """
+  What a camera saw (`Situ.CameraView`), with its picture made smaller, cut, converted, encoded or decoded. The
+  intrinsics change with the picture's size, so that pixels of the new one still show where they showed.
+
+      iex> camera = Situ.CameraIntrinsics.new!(width: 64, height: 48, focal: {50, 50})
+      iex> view = Situ.CameraView.new(Situ.Image.filled(64, 48, :rgb24, :red), camera, Situ.Pose.identity())
+      iex> {:ok, small} = Situ.Space.View.resize(view, 32, 24)
+      iex> {small.viewed.width, small.intrinsics.focal, small.intrinsics.principal}
+      {32, {25.0, 25.0}, {16.0, 12.0}}
+
+  On streams:
+
+      Situ.map(camera.color, &Situ.Error.unwrap!(Situ.Space.View.encode(&1, quality: 80)))
+  """
+  alias Situ.{CameraIntrinsics, CameraView, DepthImage, EncodedImage, Error, Image, Imaging}
+
+  @type result :: {:ok, CameraView.t()} | {:error, Error.t()}
+
+  @doc """
+  The view with a picture of so many pixels. Options as of `Situ.Imaging.resize/4`; depth takes the nearest pixel, since
+  the mean of a wall and what stands before it is nowhere.
+  """
+  @spec resize(CameraView.t(), pos_integer(), pos_integer(), keyword()) :: result()
+  def resize(view, width, height, opts \\ [])
+
+  def resize(%CameraView{viewed: %DepthImage{} = depth} = view, width, height, opts) do
+    opts = Keyword.put_new(opts, :filter, :nearest)
+
+    depth
+    |> DepthImage.through(&Imaging.resize(&1, width, height, opts))
+    |> resized(view, width, height)
+  end
+
+  def resize(%CameraView{viewed: %Image{} = image} = view, width, height, opts),
+    do: image |> Imaging.resize(width, height, opts) |> resized(view, width, height)
+
+  def resize(view, _width, _height, _opts), do: no_pixels(view)
+
+  defp resized({:ok, viewed}, view, width, height) do
+    intrinsics = CameraIntrinsics.resize(view.intrinsics, width, height)
+    {:ok, %{view | viewed: viewed, intrinsics: intrinsics}}
+  end
+
+  defp resized(error, _view, _width, _height), do: error
+
+  @doc "The view with a picture that is larger or smaller by a factor; sizes are rounded to whole pixels, at least 1."
+  @spec scale(CameraView.t(), number(), keyword()) :: result()
+  def scale(view, factor, opts \\ [])
+
+  def scale(%CameraView{viewed: %{width: w, height: h}} = view, factor, opts)
+      when is_number(factor) and factor > 0,
+      do: resize(view, max(round(w * factor), 1), max(round(h * factor), 1), opts)
+
+  def scale(%CameraView{}, factor, _opts),
+    do: {:error, Error.new(:bad_option, "a picture cannot be scaled by #{inspect(factor)}")}
+
+  @doc "The part of a view in a rectangle of whole pixels, `{x, y, width, height}`, which must lie in the picture."
+  @spec crop(CameraView.t(), {integer(), integer(), pos_integer(), pos_integer()}) :: result()
+  def crop(%CameraView{viewed: %module{} = viewed} = view, {x, y, w, h} = part)
+      when module in [Image, DepthImage] and is_integer(x) and is_integer(y) and is_integer(w) and
+             is_integer(h) do
+    with {:ok, viewed} <- Imaging.crop(viewed, part),
+         do:
+           {:ok,
+            %{view | viewed: viewed, intrinsics: CameraIntrinsics.crop(view.intrinsics, part)}}
+  end
+
+  def crop(view, _part), do: no_pixels(view)
+
+  @doc "The view with its picture in another format, as `Situ.Imaging.convert/2`."
+  @spec convert(CameraView.t(), Image.format()) :: result()
+  def convert(%CameraView{viewed: %Image{}} = view, format),
+    do: CameraView.map(view, &Imaging.convert(&1, format))
+
+  def convert(view, _format), do: no_pixels(view)
+
+  @doc """
+  The view with its picture as JPEG (`quality:`, 90), or as PNG with `format: :png`; depth always as PNG. What depth
+  measures, and in which unit, is not in a PNG: tell it to `decode/2`.
+  """
+  @spec encode(CameraView.t(), keyword()) :: result()
+  def encode(view, opts \\ [])
+
+  def encode(%CameraView{viewed: %DepthImage{}} = view, _opts),
+    do: CameraView.map(view, &Imaging.encode_png(DepthImage.to_gray16(&1)))
+
+  def encode(%CameraView{viewed: %Image{}} = view, opts) do
+    case Keyword.pop(opts, :format, :jpeg) do
+      {:png, opts} -> CameraView.map(view, &Imaging.encode_png(&1, opts))
+      {:jpeg, opts} -> CameraView.map(view, &Imaging.encode_jpeg(&1, opts))
+      {other, _} -> {:error, Error.new(:bad_option, "no picture is encoded as #{inspect(other)}")}
+    end
+  end
+
+  def encode(view, _opts), do: no_pixels(view)
+
+  @doc """
+  The view with its encoded picture decoded; as depth where `depth:` gives its unit and what it measures, as
+  `Situ.DepthImage.from_gray16/2`.
+
+      iex> camera = Situ.CameraIntrinsics.new!(width: 2, height: 1, focal: {2, 2})
+      iex> depth = Situ.DepthImage.new!(width: 2, height: 1, data: <<1000::little-16, 0::16>>, scale: 0.002)
+      iex> {:ok, encoded} = Situ.Space.View.encode(Situ.CameraView.new(depth, camera, Situ.Pose.identity()))
+      iex> {:ok, decoded} = Situ.Space.View.decode(encoded, depth: [scale: 0.002])
+      iex> decoded.viewed == depth
+      true
+  """
+  @spec decode(CameraView.t(), keyword()) :: result()
+  def decode(view, opts \\ [])
+
+  def decode(%CameraView{viewed: %EncodedImage{}} = view, depth: depth),
+    do: CameraView.map(view, &Imaging.decode_depth(&1, depth))
+
+  def decode(%CameraView{viewed: %EncodedImage{}} = view, opts),
+    do: CameraView.map(view, &Imaging.parse(&1, opts))
+
+  def decode(view, _opts), do: no_pixels(view)
+
+  defp no_pixels(%CameraView{viewed: viewed}) do
+    name = if is_struct(viewed), do: inspect(viewed.__struct__), else: inspect(viewed, limit: 3)
+
+    {:error,
+     Error.new(:bad_image, "a view of #{name} cannot be changed like this",
+       why: "it needs a picture or depth; encoded ones are decoded first, and only these can be",
+       fix: "Situ.Space.View.decode/2 decodes a view's picture"
+     )}
+  end
+end

@@ -1,0 +1,45 @@
+defmodule Situ.Line3 do
+  @moduledoc """
+  A straight line between two places (metres).
+
+      iex> line = Situ.Line3.new({0.0, 0.0, 0.0}, {2.0, 0.0, 0.0})
+      iex> {Situ.Line3.length(line), Situ.Line3.closest_point(line, {3.0, 1.0, 0.0})}
+      {2.0, {2.0, 0.0, 0.0}}
+  """
+  alias Situ.{Pose, Vector3}
+
+  @enforce_keys [:from, :to]
+  defstruct [:from, :to]
+
+  @type t :: %__MODULE__{from: Vector3.t(), to: Vector3.t()}
+
+  @doc "The line between two places."
+  @spec new(Vector3.t(), Vector3.t()) :: t()
+  def new({_, _, _} = from, {_, _, _} = to), do: %__MODULE__{from: from, to: to}
+
+  @doc "How long it is (metres)."
+  @spec length(t()) :: float()
+  def length(%__MODULE__{from: from, to: to}), do: Vector3.distance(from, to)
+
+  @doc "The place at a ratio of the way, 0 where it begins and 1 where it ends."
+  @spec at(t(), number()) :: Vector3.t()
+  def at(%__MODULE__{from: from, to: to}, ratio), do: Vector3.lerp(from, to, ratio)
+
+  @doc "The nearest of its points."
+  @spec closest_point(t(), Vector3.t()) :: Vector3.t()
+  def closest_point(%__MODULE__{from: from, to: to} = line, point) do
+    way = Vector3.subtract(to, from)
+    square = Vector3.dot(way, way)
+
+    if square == 0,
+      do: from,
+      else: at(line, clamp(Vector3.dot(Vector3.subtract(point, from), way) / square))
+  end
+
+  defp clamp(ratio), do: ratio |> max(0.0) |> min(1.0)
+
+  @doc "The line, given in a pose's own frame, in the frame of the pose."
+  @spec transform(t(), Pose.t()) :: t()
+  def transform(%__MODULE__{from: from, to: to}, %Pose{} = pose),
+    do: new(Pose.transform(pose, from), Pose.transform(pose, to))
+end

@@ -1,0 +1,78 @@
+defmodule Situ.Triangle3 do
+  @moduledoc """
+  Triangles in space, as tuples of their three corners: whether a point lies on one, where a ray meets it, which of its
+  points is nearest. `Situ.Mesh` is many of them.
+
+      iex> triangle = {{0.0, 0.0, 0.0}, {2.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}
+      iex> Situ.Triangle3.contains?(triangle, {0.5, 0.5, 0.0})
+      true
+      iex> Situ.Triangle3.closest_point(triangle, {-1.0, 1.0, 3.0})
+      {0.0, 1.0, 0.0}
+  """
+  alias Situ.{Ray3, Vector3}
+
+  @type t :: {Vector3.t(), Vector3.t(), Vector3.t()}
+
+  @doc "Whether a point lies on the triangle, its edges included, or at most `epsilon` (metres) off it."
+  @spec contains?(t(), Vector3.t(), number()) :: boolean()
+  def contains?(triangle, point, epsilon \\ 1.0e-6),
+    do: Vector3.distance(closest_point(triangle, point), point) <= epsilon
+
+  @doc """
+  The nearest point of the triangle. Source: C. Ericson, Real-Time Collision Detection, 2005, 5.1.5.
+  """
+  @spec closest_point(t(), Vector3.t()) :: Vector3.t()
+  def closest_point({a, b, c}, p) do
+    {ab, ac} = {Vector3.subtract(b, a), Vector3.subtract(c, a)}
+    [d1, d2] = along(ab, ac, Vector3.subtract(p, a))
+    [d3, d4] = along(ab, ac, Vector3.subtract(p, b))
+    [d5, d6] = along(ab, ac, Vector3.subtract(p, c))
+    {va, vb, vc} = {d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2}
+
+    cond do
+      d1 <= 0 and d2 <= 0 -> a
+      d3 >= 0 and d4 <= d3 -> b
+      d6 >= 0 and d5 <= d6 -> c
+      vc <= 0 and d1 >= 0 and d3 <= 0 -> between(a, b, d1, d1 - d3)
+      vb <= 0 and d2 >= 0 and d6 <= 0 -> between(a, c, d2, d2 - d6)
+      va <= 0 and d4 >= d3 and d5 >= d6 -> between(b, c, d4 - d3, d4 - d3 + d5 - d6)
+      true -> inside(a, ab, ac, {va, vb, vc})
+    end
+  end
+
+  defp along(ab, ac, way), do: [Vector3.dot(ab, way), Vector3.dot(ac, way)]
+
+  # An edge without length is its end.
+  defp between(from, _to, _way, length) when length == 0, do: from
+  defp between(from, to, way, length), do: Vector3.lerp(from, to, way / length)
+
+  defp inside(a, ab, ac, {va, vb, vc}) do
+    all = va + vb + vc
+    a |> Vector3.add(Vector3.scale(ab, vb / all)) |> Vector3.add(Vector3.scale(ac, vc / all))
+  end
+
+  @doc """
+  How far along a ray (metres) it meets the triangle, from either side; `nil` where it misses or runs beside it. Source:
+  T. Moeller, B. Trumbore, Fast, Minimum Storage Ray/Triangle Intersection, 1997.
+
+      iex> {:ok, ray} = Situ.Ray3.new({0.5, 0.5, 3.0}, {0.0, 0.0, -1.0})
+      iex> Situ.Triangle3.intersection({{0.0, 0.0, 0.0}, {2.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}, ray)
+      3.0
+  """
+  @spec intersection(t(), Ray3.t()) :: float() | nil
+  def intersection({a, b, c}, %Ray3{origin: origin, direction: direction}) do
+    {ab, ac} = {Vector3.subtract(b, a), Vector3.subtract(c, a)}
+    across = Vector3.cross(direction, ac)
+    determinant = Vector3.dot(ab, across)
+
+    # relative to the triangle's size, so that small ones are met, too
+    if abs(determinant) > 1.0e-12 * Vector3.norm(ab) * Vector3.norm(ac) do
+      from = Vector3.subtract(origin, a)
+      u = Vector3.dot(from, across) / determinant
+      turned = Vector3.cross(from, ab)
+      v = Vector3.dot(direction, turned) / determinant
+      far = Vector3.dot(ac, turned) / determinant
+      if u >= -1.0e-9 and v >= -1.0e-9 and u + v <= 1 + 1.0e-9 and far >= 0, do: far
+    end
+  end
+end

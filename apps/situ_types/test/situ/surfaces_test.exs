@@ -1,0 +1,180 @@
+defmodule Situ.SurfacesTest do
+  # Triangles, meshes, facets and rectangles with pictures: what rays meet and what is nearest.
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+
+  alias Situ.{Box3, Line3, Mesh, PointCloud, Pose, PoseVelocity, Quaternion, Ray3, Rectangle3}
+  alias Situ.{Triangle3, Vector3}
+
+  doctest Line3
+  doctest PoseVelocity
+  doctest Triangle3
+
+  defp coordinate, do: map(integer(-500, 500), &(&1 / 100))
+  defp vector, do: {coordinate(), coordinate(), coordinate()}
+
+  defp pose do
+    map({vector(), coordinate(), coordinate(), coordinate()}, fn {position, yaw, pitch, roll} ->
+      Pose.new(position, Quaternion.from_euler(yaw, pitch, roll))
+    end)
+  end
+
+  # A box as twelve triangles, two of a facet.
+  @sides [{0, 2, 6, 4}, {1, 3, 7, 5}, {0, 1, 5, 4}, {2, 3, 7, 6}, {0, 1, 3, 2}, {4, 5, 7, 6}]
+  defp mesh(%Box3{pose: pose} = box) do
+    triangles = for {a, b, c, d} <- @sides, t <- [{a, b, c}, {a, c, d}], do: t
+    {:ok, mesh} = Mesh.from_lists(Box3.corners(%{box | pose: nil}), triangles)
+    %{mesh | pose: pose}
+  end
+
+  property "a mesh of a box is met where the box is met" do
+    box = Box3.new!({-1.0, -2.0, -0.5}, {1.0, 2.0, 0.5})
+
+    forall {pose, from, way} <- {pose(), vector(), vector()} do
+      box = Box3.transform(box, pose)
+
+      with {:ok, ray} <- Ray3.new(from, way) do
+        case {Box3.intersection(box, ray), Mesh.intersection(mesh(box), ray)} do
+          {nil, nil} -> :ok
+          {{at, _}, {found, n}} when n in 0..11 -> assert Vector3.distance(at, found) < 1.0e-4
+          # a ray that touches an edge
+          {hit, miss} -> assert grazes?(box, hit || miss)
+        end
+      end
+    end
+  end
+
+  defp grazes?(box, {at, _}) do
+    {x, y, z} = Pose.transform(Pose.invert(box.pose), at)
+
+    near =
+      Enum.count([{abs(x), 1}, {abs(y), 2}, {abs(z), 0.5}], fn {v, e} -> abs(v - e) < 1.0e-4 end)
+
+    near >= 2
+  end
+
+  property "the nearest point of a mesh of a box, from outside, is that of the box" do
+    box = Box3.new!({-1.0, -2.0, -0.5}, {1.0, 2.0, 0.5})
+
+    forall {pose, point} <- {pose(), vector()} do
+      box = Box3.transform(box, pose)
+
+      unless Box3.contains?(box, point) do
+        {found, _} = Mesh.closest_point(mesh(box), point)
+        assert Vector3.distance(found, Box3.closest_point(box, point)) < 1.0e-4
+      end
+    end
+  end
+
+  property "no point of a triangle is nearer than the nearest" do
+    forall {a, b, c, point} <- {vector(), vector(), vector(), vector()} do
+      nearest = Triangle3.closest_point({a, b, c}, point)
+      least = Vector3.distance(nearest, point)
+
+      for u <- 0..10, v <- 0..(10 - u) do
+        on_it =
+          a
+          |> Vector3.add(Vector3.scale(Vector3.subtract(b, a), u / 10))
+          |> Vector3.add(Vector3.scale(Vector3.subtract(c, a), v / 10))
+
+        assert Vector3.distance(on_it, point) >= least - 1.0e-9
+        assert Triangle3.contains?({a, b, c}, on_it, 1.0e-6)
+      end
+    end
+  end
+
+  test "meshes without triangles, with wrong ones, and with vertices that are no numbers" do
+    {:ok, ray} = Ray3.new({0.0, 0.0, 0.0}, {1.0, 0.0, 0.0})
+    assert Mesh.intersection(%Mesh{vertices: <<>>, indices: <<>>}, ray) == nil
+    assert Mesh.closest_point(%Mesh{vertices: <<>>, indices: <<>>}, {0.0, 0.0, 0.0}) == nil
+
+    {:ok, good} =
+      Mesh.from_lists([{1.0, -1.0, -1.0}, {1.0, 1.0, -1.0}, {1.0, 0.0, 1.0}], [{0, 1, 2}])
+
+    wrong = %{good | indices: <<0::32, 1::little-32, 9::little-32>>}
+    assert Mesh.intersection(wrong, ray) == nil
+    nan = <<0, 0, 0xC0, 0x7F>>
+    holes = %{good | vertices: nan <> binary_part(good.vertices, 4, 32)}
+    assert Mesh.closest_point(holes, {0.0, 0.0, 0.0}) == nil
+    # a triangle without an area is met nowhere, and is as near as its corner
+    {:ok, flat} = Mesh.from_lists([{1.0, 0.0, 0.0}], [{0, 0, 0}])
+    assert Mesh.intersection(flat, ray) == nil
+    assert Mesh.closest_point(flat, {0.0, 0.0, 0.0}) == {{1.0, 0.0, 0.0}, 0}
+  end
+
+  test "a mesh as a cloud, where its pose puts it" do
+    {:ok, mesh} =
+      Mesh.from_lists([{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}], [{0, 1, 2}])
+
+    moved = Mesh.transform(mesh, Pose.new({0.0, 0.0, 2.0}))
+
+    assert PointCloud.to_points(Mesh.to_cloud(moved)) ==
+             [{1.0, 0.0, 2.0}, {0.0, 1.0, 2.0}, {0.0, 0.0, 3.0}]
+  end
+
+  property "a box's facets span its corners, and look out of it" do
+    forall {pose, {w, d, h}} <- {pose(), {integer(1, 9), integer(1, 9), integer(1, 9)}} do
+      box = Box3.new!({0.0, 0.0, 0.0}, {w * 1.0, d * 1.0, h * 1.0}, pose)
+      corners = Box3.corners(box)
+
+      for name <- Box3.facets() do
+        facet = Box3.facet(box, name)
+
+        for corner <- Rectangle3.corners(facet),
+            do: assert(Enum.any?(corners, &(Vector3.distance(&1, corner) < 1.0e-6)))
+
+        out = Vector3.subtract(facet.pose.position, Box3.center(box))
+        assert Vector3.dot(Rectangle3.plane(facet).normal, out) > 0
+        assert facet.width * facet.height > 0
+      end
+    end
+  end
+
+  property "a picture's pixel on a rectangle, and back" do
+    forall {pose, px, py} <- {pose(), integer(0, 640), integer(0, 480)} do
+      wall = Rectangle3.new!(pose, 2.0, 1.5)
+      point = Rectangle3.from_pixel(wall, {px, py}, {640, 480})
+      {x, y} = Rectangle3.to_pixel(wall, point, {640, 480}, 1.0e-6) || {px, py}
+      assert_in_delta x, px, 1.0e-6
+      assert_in_delta y, py, 1.0e-6
+    end
+  end
+
+  test "a point off a picture's rectangle has no pixel" do
+    wall = Rectangle3.new!(Pose.identity(), 2.0, 1.5)
+    assert Rectangle3.to_pixel(wall, {0.5, 0.0, 0.0}, {640, 480}) == nil
+    assert Rectangle3.to_pixel(wall, {0.5, 0.0, 0.0}, {640, 480}, 1) == {320.0, 240.0}
+    assert Rectangle3.to_pixel(wall, {0.0, 2.0, 0.0}, {640, 480}) == nil
+
+    assert Rectangle3.to_pixel(Rectangle3.new!(Pose.identity(), 0, 1), {0.0, 0.0, 0.0}, {4, 4}) ==
+             nil
+  end
+
+  property "what moves and turns on arrives where it was going" do
+    forall {a, b} <- {pose(), pose()} do
+      {:ok, velocity} = PoseVelocity.between(a, b, Situ.Time.ms(100))
+      next = PoseVelocity.destination(velocity, Situ.Time.ms(100))
+      back = PoseVelocity.destination(velocity, -Situ.Time.ms(100))
+      assert Vector3.distance(back.position, a.position) < 1.0e-6
+      assert Quaternion.angle(back.rotation, a.rotation) < 1.0e-5
+      expected = Vector3.lerp(a.position, b.position, 2.0)
+      assert Vector3.distance(next.position, expected) < 1.0e-6
+    end
+  end
+
+  test "no velocity over no time" do
+    assert {:error, %{code: :bad_duration}} =
+             PoseVelocity.between(Pose.identity(), Pose.identity(), 0)
+  end
+
+  test "a cloud with holes keeps its colours beside its points when it moves" do
+    nan = <<0, 0, 0xC0, 0x7F>>
+    {:ok, cloud} = PointCloud.new(<<nan::binary, 0::64>> <> <<0::96>>, <<1, 2, 3, 4, 5, 6>>)
+    moved = PointCloud.transform(cloud, Pose.new({1.0, 0.0, 0.0}))
+    assert PointCloud.count(moved) == 2
+    assert PointCloud.to_points(moved) == [{1.0, 0.0, 0.0}]
+
+    assert {:ok, ^moved} =
+             moved |> PointCloud.encode() |> IO.iodata_to_binary() |> PointCloud.decode()
+  end
+end

@@ -1,0 +1,255 @@
+//! Points of LAS and LAZ files.
+//!
+//! Records are unpacked by the crate `laz`, which trusts what a file says of its sizes; so those are checked first.
+
+use std::io::Cursor;
+use std::panic::{catch_unwind, AssertUnwindSafe};
+
+use laz::{LasZipDecompressor, LazItemType, LazVlr};
+
+use crate::error::{fail, Code, Result};
+
+/// No more bytes are unpacked.
+const MOST: usize = 4_000_000_000;
+
+/// Where the records of a file lie, and what they are.
+#[derive(Clone, Copy, Debug)]
+pub struct Records {
+    /// The first byte of the packed records, chunk table's place included.
+    pub at: usize,
+    /// Bytes of one record, unpacked.
+    pub size: usize,
+    /// How many there are.
+    pub count: usize,
+}
+
+/// The records of a whole LAZ file, one after the other. `packing` is the data of its record "laszip encoded".
+pub fn unpack(file: &[u8], records: Records, packing: &[u8]) -> Result<Vec<u8>> {
+    let Ok(vlr) = LazVlr::from_buffer(packing) else {
+        return bad("the record that tells how it is packed is none");
+    };
+    let items: usize = vlr
+        .items()
+        .iter()
+        .map(|item| usize::from(item.size()))
+        .sum();
+    let bytes = records.count.checked_mul(records.size);
+    let bytes = match bytes {
+        Some(bytes) if vlr.items().is_empty() || items != records.size || bytes > MOST => None,
+        bytes => bytes,
+    };
+    let Some(bytes) = bytes else {
+        return bad("its records have another size than its head tells");
+    };
+    if records.count == 0 {
+        return Ok(Vec::new());
+    }
+    chunks_fit(file, records)?;
+    if layered(&vlr) {
+        layers_fit(file, records, &vlr)?;
+    }
+    let mut out = Vec::new();
+    if out.try_reserve_exact(bytes).is_err() {
+        return fail(Code::TooLarge, format!("no memory for {bytes} bytes"));
+    }
+    out.resize(bytes, 0);
+    let mut source = Cursor::new(file);
+    source.set_position(records.at as u64);
+    let unpacked = catch_unwind(AssertUnwindSafe(|| {
+        LasZipDecompressor::new(source, vlr)
+            .and_then(|mut from| Ok(from.decompress_many(&mut out)?))
+            .is_ok()
+    }));
+    match unpacked {
+        Ok(true) => Ok(out),
+        _ => bad("its packed points are damaged or cut short"),
+    }
+}
+
+fn bad<T>(what: &str) -> Result<T> {
+    fail(Code::BadCloud, what)
+}
+
+fn word(file: &[u8], at: usize) -> Option<usize> {
+    let bytes = file.get(at..at.checked_add(4)?)?;
+    usize::try_from(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])).ok()
+}
+
+fn place(file: &[u8], at: usize) -> Option<usize> {
+    let bytes: [u8; 8] = file.get(at..at.checked_add(8)?)?.try_into().ok()?;
+    usize::try_from(i64::from_le_bytes(bytes)).ok()
+}
+
+// A table of more chunks than the file has bytes for would take memory that is not there.
+fn chunks_fit(file: &[u8], records: Records) -> Result<()> {
+    let tables = [
+        place(file, records.at),
+        place(file, file.len().saturating_sub(8)),
+    ];
+    for table in tables.into_iter().flatten() {
+        let chunks = table.checked_add(4).and_then(|at| word(file, at));
+        if table > records.at && chunks.is_some_and(|n| n > file.len() / records.size.max(1)) {
+            return bad("its table of chunks is damaged");
+        }
+    }
+    Ok(())
+}
+
+// The items' version decides how the crate reads chunks.
+fn layered(vlr: &LazVlr) -> bool {
+    vlr.items().iter().any(|item| item.version() > 2)
+}
+
+fn layers_of(item: LazItemType) -> usize {
+    match item {
+        LazItemType::Point14 => 9,
+        LazItemType::RGB14 | LazItemType::WavePacket14 => 1,
+        LazItemType::RGBNIR14 => 2,
+        LazItemType::Byte14(count) => usize::from(count),
+        _ => 0,
+    }
+}
+
+// A chunk is its first record, the number of its records, the sizes of its layers, and the layers.
+fn layers_fit(file: &[u8], records: Records, vlr: &LazVlr) -> Result<()> {
+    let layers: usize = vlr.items().iter().map(|i| layers_of(i.item_type())).sum();
+    let (mut at, mut seen) = (records.at.saturating_add(8), 0usize);
+    while seen < records.count {
+        let head = at.saturating_add(records.size);
+        let Some(count) = word(file, head).filter(|count| *count > 0) else {
+            return bad("a chunk of its points is cut short");
+        };
+        let mut end = head + 4 + 4 * layers;
+        for layer in 0..layers {
+            end = end.saturating_add(word(file, head + 4 + 4 * layer).unwrap_or(usize::MAX));
+        }
+        if end > file.len() {
+            return bad("a chunk of its points is cut short");
+        }
+        (at, seen) = (end, seen.saturating_add(count));
+    }
+    Ok(())
+}
+
+/// The places of records (three whole numbers, times `scale`, plus `offset`) as points, and their colours, where they
+/// begin at the byte `colors` of a record: 16 bits each, of which many writers use only the lower 8.
+pub fn cloud(
+    records: &[u8],
+    size: usize,
+    colors: Option<usize>,
+    scale: [f64; 3],
+    offset: [f64; 3],
+) -> Result<(Vec<u8>, Vec<u8>)> {
+    if size < 12 || !records.len().is_multiple_of(size) || colors.is_some_and(|at| at + 6 > size) {
+        return bad("its records have another size than its head tells");
+    }
+    let count = records.len() / size;
+    let mut points = Vec::with_capacity(count * 12);
+    let mut tones = Vec::new();
+    let tone = |record: &[u8], at: usize| u16::from_le_bytes([record[at], record[at + 1]]);
+    let most = colors.map_or(0, |at| {
+        let of = |r: &[u8]| (0..3).map(|k| tone(r, at + 2 * k)).max().unwrap_or(0);
+        records.chunks_exact(size).map(of).max().unwrap_or(0)
+    });
+    for record in records.chunks_exact(size) {
+        for axis in 0..3 {
+            let at = 4 * axis;
+            let whole = [record[at], record[at + 1], record[at + 2], record[at + 3]];
+            let value = f64::from(i32::from_le_bytes(whole)) * scale[axis] + offset[axis];
+            if !(value as f32).is_finite() {
+                return bad("its points lie farther apart than can be told");
+            }
+            points.extend_from_slice(&(value as f32).to_le_bytes());
+        }
+        if let (Some(at), true) = (colors, most > 0) {
+            let shift = if most > 255 { 8 } else { 0 };
+            tones.extend((0..3).map(|k| (tone(record, at + 2 * k) >> shift) as u8));
+        }
+    }
+    Ok((points, tones))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use laz::{LasZipCompressor, LazItemRecordBuilder};
+
+    // Records of a format, packed, as they stand in a file whose head has 40 bytes.
+    fn packed(format: u8, count: usize) -> (Vec<u8>, Records, Vec<u8>, Vec<u8>) {
+        let items =
+            LazItemRecordBuilder::default_for_point_format_id(format, 0).unwrap_or_default();
+        let size = items.iter().map(|i| usize::from(i.size())).sum();
+        let mut records = Vec::new();
+        for i in 0..count {
+            let mut record = vec![0u8; size];
+            record[..4].copy_from_slice(&(i as i32 * 3).to_le_bytes());
+            record[4..8].copy_from_slice(&(-(i as i32)).to_le_bytes());
+            records.extend_from_slice(&record);
+        }
+        let mut file = Cursor::new(vec![7u8; 40]);
+        file.set_position(40);
+        let mut vlr = Vec::new();
+        if let Ok(mut packer) = LasZipCompressor::from_laz_items(&mut file, items) {
+            let done = packer.compress_many(&records).is_ok() && packer.done().is_ok();
+            assert!(done && packer.vlr().write_to(&mut vlr).is_ok());
+        }
+        let place = Records {
+            at: 40,
+            size,
+            count,
+        };
+        (file.into_inner(), place, vlr, records)
+    }
+
+    #[test]
+    fn what_was_packed_comes_back() {
+        for format in [0, 1, 2, 3, 6, 7, 8] {
+            let (file, place, vlr, records) = packed(format, 60_000);
+            assert!(file.len() < records.len());
+            assert_eq!(unpack(&file, place, &vlr), Ok(records), "format {format}");
+        }
+    }
+
+    #[test]
+    fn damage_is_an_error_and_takes_no_memory() {
+        for format in [3, 7] {
+            let (file, place, vlr, _) = packed(format, 300);
+            assert!(unpack(&file[..200], place, &vlr).is_err());
+            assert!(unpack(&file, place, &vlr[..10]).is_err());
+            let more = Records {
+                count: usize::MAX / 64,
+                ..place
+            };
+            assert!(unpack(&file, more, &vlr).is_err());
+            // every byte once: no panic, no gigabytes
+            for at in 40..file.len().min(250) {
+                let mut torn = file.clone();
+                torn[at] ^= 0xff;
+                let _ = unpack(&torn, place, &vlr);
+            }
+            for at in 0..vlr.len() {
+                let mut torn = vlr.clone();
+                torn[at] ^= 0xff;
+                let _ = unpack(&file, place, &torn);
+            }
+        }
+    }
+
+    #[test]
+    fn places_are_scaled_and_colours_made_bytes() {
+        let mut record = Vec::new();
+        record.extend_from_slice(&100i32.to_le_bytes());
+        record.extend_from_slice(&(-50i32).to_le_bytes());
+        record.extend_from_slice(&7i32.to_le_bytes());
+        record.extend_from_slice(&[0, 255, 0, 1, 255, 0]);
+        let (points, tones) =
+            cloud(&record, 18, Some(12), [0.5; 3], [1.0, 0.0, 0.0]).unwrap_or_default();
+        let expected: Vec<u8> = [51.0f32, -25.0, 3.5]
+            .iter()
+            .flat_map(|v| v.to_le_bytes())
+            .collect();
+        assert_eq!((points, tones), (expected, vec![255, 1, 0]));
+        assert!(cloud(&record, 17, None, [1.0; 3], [0.0; 3]).is_err());
+        assert!(cloud(&record, 18, None, [f64::MAX; 3], [0.0; 3]).is_err());
+    }
+}
