@@ -22,6 +22,9 @@ defmodule Situ.Store.Local do
 
   @read_bytes 4 * 1024 * 1024
 
+  # No two times are further apart than this.
+  @longest 0x7FFFFFFFFFFFFFFF
+
   @impl true
   def extensions, do: []
 
@@ -326,7 +329,8 @@ defmodule Situ.Store.Local do
   end
 
   @impl true
-  def gaps(state, %StreamInfo{id: id}, least), do: Native.reader_gaps(state.ref, id, least)
+  def gaps(state, %StreamInfo{id: id}, least),
+    do: Native.reader_gaps(state.ref, id, min(least, @longest))
 
   @lanes %{0 => "data", 1 => "large"}
 

@@ -205,6 +205,26 @@ defmodule Situ.Store.Writer do
       {:ok, _} -> {:ok, stream}
       {:error, reason} -> {:error, Failure.error(reason, stream.writer.path, stream.name)}
     end
+  rescue
+    error in ArgumentError -> refused(batches, stream, error, __STACKTRACE__)
+  end
+
+  # Times are 64 bits in a store; recordings of others may have any.
+  defp refused(batches, stream, error, stack) do
+    times = for batch <- batches, m <- batch, do: [m.originating_time, m.creation_time]
+    far? = &(is_integer(&1) and abs(&1) > 0x7FFFFFFFFFFFFFFF)
+
+    case times |> List.flatten() |> Enum.find(far?) do
+      nil ->
+        reraise error, stack
+
+      time ->
+        {:error,
+         Error.new(:bad_time, "a message of #{stream.name} has the time #{time} ns",
+           why: "a store holds times from 1677-09-21 to 2262-04-11",
+           fix: "leave it out, for example with `situ store crop`"
+         )}
+    end
   end
 
   # Runs of messages of one codec, or of none; one commit.
@@ -218,6 +238,8 @@ defmodule Situ.Store.Writer do
            |> Native.writer_append_runs(stream.id, runs)
            |> Failure.wrap(stream.writer.path, stream.name),
          do: {:ok, stream}
+  rescue
+    error in ArgumentError -> refused([messages], stream, error, __STACKTRACE__)
   end
 
   # Codecs and fields, which readers need before the first message that uses them.

@@ -67,6 +67,7 @@ defmodule Situ.Store.ReadingTest do
       assert Store.gaps(store, "S", 61_000_000_000) == pause
       assert Store.gaps(store, "S", 61_000_000_001) == []
       assert length(Store.gaps(store, "S", 1_000_000_000)) == 199
+      assert Store.gaps(store, "S", 10_000_000_000_000_000_000) == []
     end
   end
 end
