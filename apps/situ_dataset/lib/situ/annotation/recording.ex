@@ -10,7 +10,7 @@ defmodule Situ.Annotation.Recording do
   touched, and may be being written meanwhile. The schema is the stream's supplemental metadata, in its JSON form.
   """
   alias Situ.{Annotation, Error, Store}
-  alias Situ.Annotation.{Layer, Schema}
+  alias Situ.Annotation.{Layer, Psi, Schema}
   alias Situ.Dataset.Version
 
   @type_wanted {:list, Annotation}
@@ -19,15 +19,22 @@ defmodule Situ.Annotation.Recording do
   @spec type() :: Situ.Type.t()
   def type, do: @type_wanted
 
-  @doc "Whether a stored stream holds annotations: its type says so, or its metadata is a schema."
+  @doc "Whether a stored stream holds annotations (ours or \\psi's): its type says so, or its metadata is a schema."
   @spec annotations?(Store.t(), Store.StreamInfo.t()) :: boolean()
   def annotations?(%Store.Handle{} = store, %Store.StreamInfo{} = info),
-    do: info.type == @type_wanted or match?({:ok, _}, schema(store, info))
+    do:
+      info.type == @type_wanted or Psi.annotations?(info) or
+        match?({:ok, _}, schema(store, info))
 
   @doc "The schema that the stream was recorded with. Error: `:no_metadata`, `:bad_schema`."
   @spec schema(Store.t(), Store.name()) :: {:ok, Schema.t()} | {:error, Error.t()}
   def schema(%Store.Handle{} = store, stream) do
-    with {:ok, term} <- Store.metadata(store, stream), do: Schema.parse(term)
+    with {:ok, term} <- Store.metadata(store, stream) do
+      case Psi.schema(term) do
+        {:ok, json} -> Schema.parse(json)
+        :error -> Schema.parse(term)
+      end
+    end
   end
 
   @doc """
@@ -66,6 +73,13 @@ defmodule Situ.Annotation.Recording do
     end
   rescue
     error in Error -> {:error, error}
+  end
+
+  defp of_message(%{data: %{} = set} = message) do
+    case Psi.annotations(set) do
+      {:ok, list} -> of_message(%{message | data: list})
+      :error -> no_annotations(message.originating_time)
+    end
   end
 
   defp of_message(%{data: list, originating_time: time}) when is_list(list) do
