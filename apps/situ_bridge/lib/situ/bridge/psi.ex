@@ -15,9 +15,10 @@ defmodule Situ.Bridge.Psi do
   | numbers, `bool`, `string`, enums | integers, floats, booleans, strings, integers; NaN and infinities are `:nan`, `:infinity`, `:neg_infinity` |
   | `DateTime`, `TimeSpan` | nanoseconds (since 1970; of a duration) |
   | `char`, `decimal`, `Guid` | strings |
-  | arrays, `List`, `IEnumerable`; `byte[]`, `MemoryStream` | lists; binaries |
-  | `Dictionary`; tuples; `Nullable`; `Shared<T>` | maps; tuples; the value or `nil`; what is shared |
-  | images, depth images, encoded images, sound | the same as Situ's |
+  | arrays, `List`, `IEnumerable`, `HashSet`, `SortedSet`, `Queue`, `Stack` (from the top); `byte[]`, `MemoryStream` | lists; binaries |
+  | `Dictionary`, also sorted and concurrent ones; tuples; `Nullable`; `Shared<T>` | maps; tuples; the value or `nil`; what is shared |
+  | images, depth images, encoded images (of depth too: their scale is not in the file), sound | the same as Situ's |
+  | `TimeIntervalAnnotationSet` | maps, which everything that works with annotations understands |
   | classes and structs | maps with the names of the fields or properties, private ones too; `"$type"` where the declared type leaves it open |
 
   Any object may be `nil`. An object met again is the same term again; in a cycle it is `%{"$ref" => n}`, and the
@@ -70,7 +71,7 @@ defmodule Situ.Bridge.Psi do
          {catalog, damage} = Catalog.read(folder, name),
          :ok <- check(catalog, folder, name) do
       {tracks, lost} = Scan.run(folder, name, catalog.streams)
-      types = Types.new(Map.values(catalog.schemas))
+      types = Types.new(Map.values(catalog.schemas), Catalog.runtime_types(catalog))
 
       state = %__MODULE__{
         folder: folder,
@@ -163,19 +164,28 @@ defmodule Situ.Bridge.Psi do
       closed?: Enum.all?(state.streams, & &1.closed),
       live?: false,
       damage: state.damage,
-      notes: Enum.flat_map(state.streams, &note/1),
+      notes: Enum.flat_map(state.streams, &note(&1, state)),
       written_by: state.catalog.runtime
     }
   end
 
-  defp note(%{type: :map, type_name: "System." <> _}), do: []
+  defp note(%{type: :map, type_name: "System." <> _}, _state), do: []
 
-  defp note(%{type: type} = info) when type in [:map, :any, {:list, :map}, {:list, :any}],
-    do: [
-      "#{info.name} is of the type #{info.type_name}: its messages are maps, by the schema in the store"
-    ]
+  defp note(%{type: type} = info, state)
+       when type in [:map, :any, {:list, :map}, {:list, :any}] do
+    how =
+      case Types.handler(state.types, state.catalog.streams[info.id].type_name) do
+        {:object, nil} ->
+          "no schema in the store describes it, unless its messages tell their types"
 
-  defp note(_info), do: []
+        _ ->
+          "its messages are maps, by the schema in the store"
+      end
+
+    ["#{info.name} is of the type #{info.type_name}: #{how}"]
+  end
+
+  defp note(_info, _state), do: []
 
   @impl true
   def streams(state), do: state.streams
@@ -215,10 +225,12 @@ defmodule Situ.Bridge.Psi do
 
   defp messages(state, info, places, ordinal, opts) do
     envelopes? = opts[:envelopes] == true
-    handler = Types.handler(state.types, state.catalog.streams[info.id].type_name)
+    type_name = state.catalog.streams[info.id].type_name
+    handler = Types.handler(state.types, type_name)
 
     with {:ok, blocks} <- blocks(state, places, envelopes?) do
-      messages = Enum.map(blocks, &message(&1, handler, state.types, envelopes?))
+      decode = &Decoder.message(&1, type_name, handler, state.types)
+      messages = Enum.map(blocks, &message(&1, decode, envelopes?))
       {:ok, messages, ordinal + length(messages)}
     end
   end
@@ -226,12 +238,11 @@ defmodule Situ.Bridge.Psi do
   defp message(
          <<id::little-signed-32, seq::little-signed-32, time::little-64, created::little-64,
            data::binary>>,
-         handler,
-         types,
+         decode,
          envelopes?
        ) do
     %Message{
-      data: if(envelopes?, do: nil, else: data(data, handler, types)),
+      data: if(envelopes?, do: nil, else: data(data, decode)),
       originating_time: Bytes.time(time),
       creation_time: Bytes.time(created),
       sequence_id: seq,
@@ -239,8 +250,8 @@ defmodule Situ.Bridge.Psi do
     }
   end
 
-  defp data(bytes, handler, types) do
-    case Decoder.decode(bytes, handler, types) do
+  defp data(bytes, decode) do
+    case decode.(bytes) do
       {:ok, value} -> value
       {:error, why} -> %Undecoded{codec: "psi", bytes: bytes, reason: why}
     end

@@ -162,6 +162,53 @@ defmodule Situ.Bridge.PsiTest do
 
   defp ends(_rest, _at), do: []
 
+  describe "a store of the reference's rules" do
+    alias Situ.Bridge.Test.PsiFiles
+
+    @tag :tmp_dir
+    test "whose metadata are of an old version has their counts", %{tmp_dir: dir} do
+      for version <- [0, 1, 2] do
+        folder = Path.join(dir, "v#{version}")
+        catalog = [PsiFiles.stream(version, "N", 1, "System.Int32, mscorlib", 2)]
+        data = for n <- 1..2, do: PsiFiles.message(1, n, PsiFiles.time(n * 100), <<n::little-32>>)
+        store = Store.open!(PsiFiles.write!(folder, "old", catalog, data))
+        assert {:ok, [%{data: 1}, %{data: 2}]} = Store.read(store, "N")
+        assert %{count: 2, size: 8, closed: 2000} = hd(Store.streams(store))
+        entry = store.state.catalog.streams[1]
+        assert {entry.count, entry.size, entry.latency_ticks} == {2, 8, 60}
+      end
+    end
+
+    @tag :tmp_dir
+    test "has times from the year 1 on, and leaves out those that cannot be", %{tmp_dir: dir} do
+      catalog = [PsiFiles.stream(2, "N", 1, "System.Int32, mscorlib", 3)]
+
+      bits = [
+        0,
+        PsiFiles.time(-1_000_000_000_000_000_000),
+        3_155_378_975_999_999_999,
+        0xFFFF_FFFF_FFFF_FFFF
+      ]
+
+      data =
+        for {bits, n} <- Enum.with_index(bits, 1),
+            do: PsiFiles.message(1, n, bits, <<n::little-32>>)
+
+      path = PsiFiles.write!(Path.join(dir, "far"), "far", catalog, data)
+      store = Store.open!(path)
+
+      assert [
+               -62_135_596_800_000_000_000,
+               -1_000_000_000_000_000_000,
+               253_402_300_799_999_999_900
+             ] ==
+               for(m <- Store.messages(store, "N"), do: m.originating_time)
+
+      assert Enum.any?(Store.info(store).damage, &(&1 =~ "1 messages have a time that cannot be"))
+      assert {:error, %{code: :bad_time}} = Store.copy(path, Path.join(dir, "ours"))
+    end
+  end
+
   describe "conversion" do
     @tag :tmp_dir
     test "a copy into our own format has the same messages", %{tmp_dir: dir} do

@@ -20,6 +20,17 @@ defmodule Situ.Bridge.Psi.Bytes do
   @spec time(integer()) :: Situ.Time.t()
   def time(binary), do: ((binary &&& @kind_bits) - @epoch) * 100
 
+  @doc """
+  Whether .NET has such a time: from the year 1 to 9999.
+
+      iex> Situ.Bridge.Psi.Bytes.time?(0x48D924F4C841A000)
+      true
+      iex> Situ.Bridge.Psi.Bytes.time?(0xFFFF_FFFF_FFFF_FFFF)
+      false
+  """
+  @spec time?(integer()) :: boolean()
+  def time?(binary), do: (binary &&& @kind_bits) <= @never
+
   @doc "As `time/1`; nil for the end of time, which stands for \"not yet\"."
   @spec time_or_nil(integer()) :: Situ.Time.t() | nil
   def time_or_nil(binary), do: if((binary &&& @kind_bits) == @never, do: nil, else: time(binary))

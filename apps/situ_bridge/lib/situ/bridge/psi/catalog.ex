@@ -45,6 +45,14 @@ defmodule Situ.Bridge.Psi.Catalog do
     end)
   end
 
+  @doc "The names of the types that the streams met beyond those they declare, by their numbers."
+  @spec runtime_types(t()) :: %{integer() => String.t()}
+  def runtime_types(catalog),
+    do:
+      Enum.reduce(catalog.streams, %{}, fn {_, entry}, all ->
+        Map.merge(all, entry.runtime_types)
+      end)
+
   @doc "The catalog with one more entry. Entries that make no sense change nothing."
   @spec add(t(), binary()) :: t()
   def add(catalog, bytes) do

@@ -7,7 +7,7 @@ defmodule Situ.Bridge.Psi.Decoder do
   # has the key "$id" => n (a list or other value is then `%{"$id" => n, "$value" => value}`).
   import Situ.Bits, only: [known: 1]
   import Bitwise
-  alias Situ.Bridge.Psi.{Bytes, Layout, Media, Types}
+  alias Situ.Bridge.Psi.{Bytes, Layout, Shapes, Types}
 
   @reference 0x4000_0000
   @new 0x8000_0000
@@ -19,6 +19,8 @@ defmodule Situ.Bridge.Psi.Decoder do
 
   # CompressionMethod.None and DepthCompressionMethod.None
   @uncompressed 2
+
+  @enums [:uint8, :int16, :int64]
 
   defstruct [
     :types,
@@ -38,21 +40,39 @@ defmodule Situ.Bridge.Psi.Decoder do
           {:ok, term()} | {:error, String.t()}
   def decode(bytes, handler, types, opts \\ [])
 
-  def decode(bytes, {:value, {:raw, layout}}, _types, _opts) do
+  def decode(bytes, {:value, {:raw, layout}}, _types, opts) do
     size = Layout.size(layout)
 
-    if byte_size(bytes) >= size,
-      do: {:ok, Layout.read(layout, binary_part(bytes, 0, size))},
-      else: {:error, "#{byte_size(bytes)} bytes are too few for its type"}
+    cond do
+      byte_size(bytes) < size -> {:error, "#{byte_size(bytes)} bytes are too few for its type"}
+      byte_size(bytes) > size + most(bytes, opts) -> left_over(byte_size(bytes) - size)
+      true -> {:ok, Layout.read(layout, binary_part(bytes, 0, size))}
+    end
   end
 
   def decode(bytes, handler, types, opts) do
-    most = if opts[:rest] == :any, do: byte_size(bytes), else: 3
+    most = most(bytes, opts)
 
     with {:ok, value, %{needed: needed}} <- run(bytes, handler, %__MODULE__{types: types}, most),
          {:ok, value, _} <-
            named(bytes, handler, %__MODULE__{types: types, known: needed}, most, value),
          do: {:ok, value}
+  end
+
+  defp most(bytes, opts), do: if(opts[:rest] == :any, do: byte_size(bytes), else: 3)
+  defp left_over(bytes), do: {:error, "#{bytes} bytes are left over"}
+
+  @doc "A message of a stream of the type with this .NET name, as `decode/4`."
+  @spec message(binary(), String.t(), Types.handler(), Types.t()) ::
+          {:ok, term()} | {:error, String.t()}
+  def message(bytes, type_name, handler, types) do
+    with {:error, why} <- decode(bytes, handler, types) do
+      # Enums in plain structs have no schema: the width with which all bytes have a meaning is theirs.
+      Enum.find_value(@enums, {:error, why}, fn enum ->
+        types = Types.with_enum(types, enum)
+        with {:error, _} <- decode(bytes, Types.handler(types, type_name), types), do: nil
+      end)
+    end
   end
 
   # Which objects need a name is known at the end: with names they are read once more.
@@ -68,7 +88,7 @@ defmodule Situ.Bridge.Psi.Decoder do
 
     if byte_size(rest) <= most,
       do: {:ok, value, state},
-      else: {:error, "#{byte_size(rest)} bytes are left over"}
+      else: left_over(byte_size(rest))
   catch
     {:not_psi, why} -> {:error, why}
   end
@@ -117,21 +137,21 @@ defmodule Situ.Bridge.Psi.Decoder do
   defp object(plan, type, bytes, %{next: id, nodes: nodes, refs: refs} = state) do
     state = %{state | next: id + 1, nodes: nodes + 1, objects: Map.put(state.objects, id, :open)}
     {value, rest, state} = content(plan, bytes, state)
-    value = value |> with_type(type) |> with_id(id, state)
+    value = value |> with_type(type, plan) |> with_id(id, state)
 
     # An object that holds references by number cannot be repeated elsewhere.
     done = if state.refs == refs, do: {value, state.nodes - nodes}, else: :open
     {value, rest, %{state | objects: Map.put(state.objects, id, done)}}
   end
 
-  # Which of several types an object has is told where the member does not.
-  defp with_type(%{__struct__: _} = struct, _type), do: struct
+  # Which of several types an object has is told where the member does not. Dictionaries have keys of their own.
+  defp with_type(%{__struct__: _} = struct, _type, _plan), do: struct
+  defp with_type(value, type, {:fields, _, :map}) when is_binary(type), do: put_type(value, type)
+  defp with_type(value, type, {:raw, _}) when is_binary(type), do: put_type(value, type)
+  defp with_type(value, _type, _plan), do: value
 
-  defp with_type(value, type)
-       when is_map(value) and is_binary(type) and not is_map_key(value, :data),
-       do: Map.put(value, "$type", type)
-
-  defp with_type(value, _type), do: value
+  defp put_type(value, type),
+    do: if(is_map(value), do: Map.put(value, "$type", type), else: value)
 
   defp with_id(value, id, state) do
     cond do
@@ -190,20 +210,26 @@ defmodule Situ.Bridge.Psi.Decoder do
        when shape in [:image, :depth_image] do
     case read(handler, bytes, state) do
       {@uncompressed, rest, state} -> fields(members, shape, rest, state)
-      {_method, rest, state} -> compressed(shape, rest, state)
+      {_method, rest, state} -> compressed(shape, members, rest, state)
     end
   end
 
   defp content({:fields, members, shape}, bytes, state), do: fields(members, shape, bytes, state)
   defp content(_plan, _bytes, _state), do: fail("it ends within an array, or its length is wrong")
 
-  defp compressed(shape, bytes, state) do
+  # The compressed picture stands for the first five members; depth images go on behind it.
+  defp compressed(shape, members, bytes, state) do
     kind = if shape == :image, do: "EncodedImage", else: "EncodedDepthImage"
     name = "Microsoft.Psi.Shared`1[[Microsoft.Psi.Imaging.#{kind}]]"
 
     case state.types.by_name do
-      %{^name => plan} -> read({:object, plan}, bytes, state)
-      _ -> fail("it is compressed in a way that no schema describes")
+      %{^name => plan} ->
+        {picture, rest, state} = read({:object, plan}, bytes, state)
+        {_, rest, state} = fields(Enum.drop(members, 5), :map, rest, state)
+        {picture, rest, state}
+
+      _ ->
+        fail("it is compressed in a way that no schema describes")
     end
   end
 
@@ -214,7 +240,7 @@ defmodule Situ.Bridge.Psi.Decoder do
         {{name, value}, {rest, state}}
       end)
 
-    {shaped(shape, values), rest, state}
+    {Shapes.value(shape, values), rest, state}
   end
 
   defp times(n, acc, fun) do
@@ -223,40 +249,4 @@ defmodule Situ.Bridge.Psi.Decoder do
       {value, {rest, state}}
     end)
   end
-
-  defp shaped(:list, [{_, items}, {_, size} | _])
-       when is_list(items) and is_integer(size) and size >= 0,
-       do: Enum.take(items, size)
-
-  defp shaped(:dictionary, [_comparer, {_, pairs}]) when is_list(pairs) do
-    Map.new(pairs, fn
-      %{"key" => key, "value" => value} -> {key, value}
-      _ -> fail("a dictionary of what are no pairs")
-    end)
-  end
-
-  defp shaped(:old_dictionary, fields) do
-    case Map.new(fields) do
-      %{"entries" => entries} when is_list(entries) ->
-        entries |> Enum.filter(&used?/1) |> Map.new(&{&1["key"], &1["value"]})
-
-      %{"_entries" => entries} when is_list(entries) ->
-        entries |> Enum.filter(&used?/1) |> Map.new(&{&1["key"], &1["value"]})
-
-      %{} ->
-        %{}
-    end
-  end
-
-  defp shaped(:nullable, [{_, has?}, {_, value}]), do: if(has?, do: value)
-  defp shaped(:tuple, fields), do: fields |> Enum.map(&elem(&1, 1)) |> List.to_tuple()
-  defp shaped(:shared, [{_, inner}]), do: inner
-  defp shaped(:map, fields), do: Map.new(fields)
-  defp shaped(shape, fields), do: Media.value(shape, Map.new(fields))
-
-  # Places of a hash table that hold nothing have a negative hash (.NET Framework) or link (.NET).
-  defp used?(%{"next" => next, "key" => key} = entry),
-    do: Map.get(entry, "hashCode", 0) >= 0 and next >= -1 and key != nil
-
-  defp used?(_), do: false
 end

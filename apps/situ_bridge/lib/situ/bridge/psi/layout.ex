@@ -5,7 +5,9 @@ defmodule Situ.Bridge.Psi.Layout do
   alias Situ.Bridge.Psi.Bytes
 
   @type t ::
-          atom() | {:struct, pos_integer(), pos_integer(), [{String.t(), non_neg_integer(), t()}]}
+          atom()
+          | {:struct | :tuple, pos_integer(), pos_integer(),
+             [{String.t(), non_neg_integer(), t()}]}
 
   # {size, alignment}
   @primitives %{
@@ -52,12 +54,17 @@ defmodule Situ.Bridge.Psi.Layout do
   @spec primitive(String.t()) :: atom() | nil
   def primitive(name), do: @names[name]
 
+  @doc "Whether .NET calls it a primitive: times, decimals and Guids are structs there."
+  @spec clr_primitive?(String.t()) :: boolean()
+  def clr_primitive?(name),
+    do: primitive(name) not in [nil, :datetime, :timespan, :decimal, :guid]
+
   @doc "Bytes that a value takes, with the gap behind it in an array."
   @spec size(t()) :: pos_integer()
-  def size({:struct, size, _align, _fields}), do: size
+  def size({_struct, size, _align, _fields}), do: size
   def size(primitive), do: elem(Map.fetch!(@primitives, primitive), 0)
 
-  defp alignment({:struct, _size, align, _fields}), do: align
+  defp alignment({_struct, _size, align, _fields}), do: align
   defp alignment(primitive), do: elem(Map.fetch!(@primitives, primitive), 1)
 
   @doc """
@@ -78,6 +85,20 @@ defmodule Situ.Bridge.Psi.Layout do
     {:struct, max(align(finish, most), 1), most, placed}
   end
 
+  @doc """
+  The layout of a tuple: the runtime orders its items by size; the value has them in theirs.
+
+      iex> Situ.Bridge.Psi.Layout.tuple([{"Item1", :bool}, {"Item2", :float64}])
+      {:tuple, 16, 8, [{"Item1", 8, :bool}, {"Item2", 0, :float64}]}
+  """
+  @spec tuple([{String.t(), t()}]) :: t()
+  def tuple(fields) do
+    {:struct, size, align, placed} =
+      fields |> Enum.sort_by(fn {_, layout} -> -size(layout) end) |> __MODULE__.struct()
+
+    {:tuple, size, align, for({name, _} <- fields, do: List.keyfind(placed, name, 0))}
+  end
+
   defp align(at, to), do: div(at + to - 1, to) * to
 
   @doc """
@@ -92,6 +113,12 @@ defmodule Situ.Bridge.Psi.Layout do
     if :binary.first(bytes) == 0,
       do: nil,
       else: read(layout, binary_part(bytes, at, size(layout)))
+  end
+
+  def read({:tuple, _, _, fields}, bytes) do
+    fields
+    |> Enum.map(fn {_, at, layout} -> read(layout, binary_part(bytes, at, size(layout))) end)
+    |> List.to_tuple()
   end
 
   def read({:struct, _, _, fields}, bytes) do

@@ -9,7 +9,14 @@ defmodule Situ.Bridge.Psi.Media do
     4 => :bgrx32,
     5 => :bgra32,
     6 => :rgba64,
-    7 => :rgb24
+    7 => :rgb24,
+    # Before version 3 of their schema pictures had the numbers of System.Drawing.
+    198_659 => :gray8,
+    1_052_676 => :gray16,
+    137_224 => :bgr24,
+    139_273 => :bgrx32,
+    2_498_570 => :bgra32,
+    3_424_269 => :rgba64
   }
 
   # {tag, bits}: 1 is PCM, 3 is floating point.
@@ -26,6 +33,7 @@ defmodule Situ.Bridge.Psi.Media do
     "Microsoft.Psi.Imaging.Image" => Situ.Image,
     "Microsoft.Psi.Imaging.DepthImage" => Situ.DepthImage,
     "Microsoft.Psi.Imaging.EncodedImage" => Situ.EncodedImage,
+    "Microsoft.Psi.Imaging.EncodedDepthImage" => Situ.EncodedImage,
     "Microsoft.Psi.Audio.AudioBuffer" => Situ.AudioBuffer
   }
 
@@ -48,6 +56,25 @@ defmodule Situ.Bridge.Psi.Media do
   defp make(:depth_image, %{"image" => data} = fields) when is_binary(data),
     do: (size(fields) ++ depth(fields) ++ [data: data]) |> Situ.DepthImage.new()
 
+  # Rows packed by gzip are no picture file: they are unpacked.
+  defp make(:encoded_image, %{
+         "stream" => <<0x1F, 0x8B, _::binary>> = packed,
+         "Width" => w,
+         "Height" => h,
+         "pixelFormat" => code
+       })
+       when is_integer(w) and w > 0 and is_integer(h) and h > 0 do
+    with {:ok, rows} <- gunzip(packed, h * (w * 8 + 64)),
+         do:
+           Situ.Image.new(
+             width: w,
+             height: h,
+             stride: div(byte_size(rows), h),
+             format: @formats[code],
+             data: rows
+           )
+  end
+
   defp make(:encoded_image, %{"stream" => data, "Width" => w, "Height" => h})
        when is_binary(data) do
     with {:ok, format} <- Situ.EncodedImage.sniff(data),
@@ -64,6 +91,32 @@ defmodule Situ.Bridge.Psi.Media do
   end
 
   defp make(_shape, _fields), do: :error
+
+  defp gunzip(packed, most) do
+    z = :zlib.open()
+
+    try do
+      :zlib.inflateInit(z, 31)
+      inflate(z, :zlib.safeInflate(z, packed), most, [])
+    rescue
+      ErlangError -> :error
+    after
+      :zlib.close(z)
+    end
+  end
+
+  defp inflate(_z, {:finished, out}, most, all) do
+    bytes = IO.iodata_to_binary(Enum.reverse([out | all]))
+    if byte_size(bytes) <= most, do: {:ok, bytes}, else: :error
+  end
+
+  defp inflate(z, {:continue, out}, most, all) do
+    left = most - IO.iodata_length(out)
+
+    if left < 0,
+      do: :error,
+      else: inflate(z, :zlib.safeInflate(z, []), left, [out | all])
+  end
 
   defp size(fields),
     do: [width: fields["width"], height: fields["height"], stride: fields["stride"]]

@@ -61,7 +61,7 @@ defmodule Situ.Bridge.Psi.Scan do
   def run(folder, name, entries) do
     large = Files.extents(folder, name, :large)
     indexed = for {id, entry} <- entries, Entry.indexed?(entry), into: MapSet.new(), do: id
-    acc = %{found: %{}, large: MapSet.new(), indexed: indexed}
+    acc = %{found: %{}, large: MapSet.new(), indexed: indexed, timeless: 0}
 
     {acc, damage} = Blocks.reduce({folder, name, :data}, 48, acc, &message/2)
     {whole, lost} = whole_large(folder, name, large, acc.large)
@@ -72,11 +72,12 @@ defmodule Situ.Bridge.Psi.Scan do
         {{id, track}, behind + left_out}
       end)
 
-    {Map.new(tracks), notes(lost, behind) ++ damage}
+    {Map.new(tracks), notes(lost, behind, acc.timeless) ++ damage}
   end
 
-  defp notes(lost, behind) do
+  defp notes(lost, behind, timeless) do
     for {n, sentence} <- [
+          {timeless, "messages have a time that cannot be and are left out"},
           {lost, "messages have lost their payload in the files for large ones"},
           {behind, "messages have the time of another one of their stream and are left out"}
         ],
@@ -93,9 +94,11 @@ defmodule Situ.Bridge.Psi.Scan do
        when seq != @closing do
     times = {Bytes.time(time), Bytes.time(created)}
 
-    if MapSet.member?(acc.indexed, id),
-      do: large(id, times, rest, acc),
-      else: put(acc, id, {times, {:data, extent, at, length}})
+    cond do
+      not (Bytes.time?(time) and Bytes.time?(created)) -> %{acc | timeless: acc.timeless + 1}
+      MapSet.member?(acc.indexed, id) -> large(id, times, rest, acc)
+      true -> put(acc, id, {times, {:data, extent, at, length}})
+    end
   end
 
   defp message(_block, acc), do: acc
@@ -134,12 +137,12 @@ defmodule Situ.Bridge.Psi.Scan do
         do: {at, block}
   end
 
-  defp block(context, extent, at, length) when length > 24,
+  defp block(context, extent, at, length) when length >= 24,
     do: if(at + 4 + length <= context.sizes[extent], do: {extent, at + 4, length})
 
   # The message had no room at the end of its extent: it begins the next one.
   defp block(context, extent, _at, next) when next < 0 and -next > extent do
-    with [{0, length}] when length > 24 <- lengths(context, -next, [0]),
+    with [{0, length}] when length >= 24 <- lengths(context, -next, [0]),
          do: block(context, -next, 0, length),
          else: (_ -> nil)
   end

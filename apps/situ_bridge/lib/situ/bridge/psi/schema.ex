@@ -69,6 +69,7 @@ defmodule Situ.Bridge.Psi.Schema do
   defp flags(version, n, <<flags::little-32, _::binary>>) when version >= 2 and n > 0, do: flags
   defp flags(_version, _n, _rest), do: 0
 
+  def enum?(%{members: members}), do: match?([{"value__", _}], members)
   def class?(%{flags: flags}), do: (flags &&& 0x0D) != 0
   def struct?(%{flags: flags}), do: (flags &&& 0x02) != 0
 end

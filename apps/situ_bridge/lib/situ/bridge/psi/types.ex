@@ -7,9 +7,9 @@ defmodule Situ.Bridge.Psi.Types do
   # handler}], shape}
   #
   # and a handler says how a member refers to it: {:value, plan or name} without, {:object, plan or name} with a prefix.
-  alias Situ.Bridge.Psi.{Layout, Schema, TypeName}
+  alias Situ.Bridge.Psi.{Layout, Schema, Shapes, Structs, TypeName}
 
-  defstruct by_name: %{}, by_id: %{}, names: %{}, schemas: %{}
+  defstruct by_name: %{}, by_id: %{}, names: %{}, schemas: %{}, enum: :int32
 
   @type plan :: term()
   @type handler :: {:value | :object, plan() | {:type, String.t()} | nil}
@@ -17,19 +17,37 @@ defmodule Situ.Bridge.Psi.Types do
 
   @deepest 32
 
-  @spec new([Schema.t()]) :: t()
-  def new(schemas) do
+  @doc """
+  The plans of all types. `runtime` are the names of types by their numbers that streams tell (the first version of
+  \\psi had no schemas). `enum` is how wide an enum is that no schema tells of: `Situ.Bridge.Psi.Decoder` tries others
+  where messages do not agree with 32 bits.
+  """
+  @spec new([Schema.t()], %{integer() => String.t()}, atom()) :: t()
+  def new(schemas, runtime \\ %{}, enum \\ :int32) do
     by_name =
       for schema <- schemas,
           name <- [schema.type_name, schema.name],
           into: %{},
           do: {TypeName.short(name), schema}
 
-    types = %__MODULE__{schemas: by_name}
+    types = %__MODULE__{schemas: by_name, enum: enum}
     plans = Map.new(by_name, fn {name, schema} -> {name, plan(types, name, schema)} end)
-    by_id = Map.new(schemas, &{&1.id, plans[TypeName.short(&1.type_name)]})
-    names = Map.new(schemas, &{&1.id, TypeName.short(&1.type_name)})
+    told = for {id, name} <- runtime, is_binary(name), into: %{}, do: {id, TypeName.short(name)}
+    names = Map.merge(told, Map.new(schemas, &{&1.id, TypeName.short(&1.type_name)}))
+
+    by_id =
+      Map.new(names, fn {id, name} -> {id, plans[name] || elem(handler(types, name), 1)} end)
+
     %{types | by_name: plans, by_id: by_id, names: names}
+  end
+
+  @doc "The same with another width of the enums that no schema tells of."
+  @spec with_enum(t(), atom()) :: t()
+  def with_enum(types, enum) do
+    types = %{types | enum: enum}
+    plans = Map.new(types.schemas, fn {name, schema} -> {name, plan(types, name, schema)} end)
+    by_id = Map.new(types.by_id, fn {id, plan} -> {id, plans[types.names[id]] || plan} end)
+    %{types | by_name: plans, by_id: by_id}
   end
 
   @doc "How a stream or member of the type with this .NET name is written."
@@ -53,13 +71,13 @@ defmodule Situ.Bridge.Psi.Types do
   defp unlisted(types, %{arrays: n} = parsed) when n > 0,
     do: {:object, array(types, TypeName.element(parsed))}
 
+  # Only what .NET calls primitive is copied with its flag as one piece of memory.
   defp unlisted(types, %{name: "System.Nullable`1", args: [inner]}) do
-    case handle(types, inner) do
-      {:value, {:raw, layout}} ->
-        {:value, {:raw, Layout.struct([{"hasValue", :bool}, {"value", layout}])}}
-
-      other ->
-        {:value, {:fields, [{"hasValue", {:value, {:raw, :bool}}}, {"value", other}], :nullable}}
+    if plain?(types, TypeName.short(inner)) do
+      {:value, {:raw, nullable_layout(types, inner)}}
+    else
+      members = [{"hasValue", {:value, {:raw, :bool}}}, {"value", handle(types, inner)}]
+      {:value, {:fields, members, :nullable}}
     end
   end
 
@@ -67,16 +85,8 @@ defmodule Situ.Bridge.Psi.Types do
        when name in ["Microsoft.Psi.Common.UnmanagedBuffer", "Microsoft.Psi.Common.BufferReader"],
        do: {:object, :bytes}
 
-  defp unlisted(_types, %{name: "Microsoft.Psi.Imaging." <> rest})
-       when rest in [
-              "CompressionMethod",
-              "DepthCompressionMethod",
-              "PixelFormat",
-              "DepthValueSemantics"
-            ],
-       do: {:value, {:raw, :int32}}
-
-  defp unlisted(_types, _parsed), do: {:object, nil}
+  defp unlisted(_types, %{name: name}),
+    do: if(name in Structs.enums(), do: {:value, {:raw, :int32}}, else: {:object, nil})
 
   defp array(types, element) do
     case {TypeName.short(element), handle(types, element)} do
@@ -100,22 +110,10 @@ defmodule Situ.Bridge.Psi.Types do
 
   defp reference(short, schema) do
     cond do
-      Schema.struct?(schema) ->
-        :value
-
-      Schema.class?(schema) ->
-        :object
-
-      String.starts_with?(short, [
-        "System.ValueTuple`",
-        "System.Nullable`",
-        "System.Collections.Generic.KeyValuePair`",
-        "Microsoft.Psi.Message`"
-      ]) ->
-        :value
-
-      true ->
-        :object
+      Schema.struct?(schema) -> :value
+      Schema.class?(schema) -> :object
+      Schema.enum?(schema) or Structs.known?(short) -> :value
+      true -> :object
     end
   end
 
@@ -144,8 +142,28 @@ defmodule Situ.Bridge.Psi.Types do
       array when array in ["ArraySerializer", "EnumerableSerializer"] ->
         array(types, element(parsed, schema))
 
+      "" ->
+        unsigned(types, name, parsed, schema)
+
       _ ->
         by_name(types, parsed, schema)
+    end
+  end
+
+  # Nothing tells who wrote it: the rule is that a struct of nothing but primitives is copied as memory.
+  defp unsigned(types, name, parsed, schema) do
+    if reference(name, schema) == :value and schema.members != [] and
+         Enum.all?(schema.members, fn {_, type} -> plain?(types, TypeName.short(type)) end),
+       do: {:raw, layout(types, name, schema, 0)},
+       else: by_name(types, parsed, schema)
+  end
+
+  defp plain?(types, name) do
+    cond do
+      Layout.clr_primitive?(name) -> true
+      Layout.primitive(name) -> false
+      schema = types.schemas[name] -> Schema.enum?(schema)
+      true -> name in Structs.enums()
     end
   end
 
@@ -164,42 +182,31 @@ defmodule Situ.Bridge.Psi.Types do
   defp element(_parsed, _schema), do: %TypeName{name: "System.Object"}
 
   defp fields(types, parsed, schema) do
-    members = for {name, type} <- schema.members, do: {name, handler(types, type)}
-    {:fields, members, shape(parsed.name, Enum.map(members, &elem(&1, 0)))}
+    shape = Shapes.of(parsed.name, Enum.map(schema.members, &elem(&1, 0)))
+
+    {:fields, for({name, type} <- schema.members, do: {name, member(types, shape, name, type)}),
+     shape}
   end
 
-  # The values that members of well-known types make together.
-  defp shape("System.Collections.Generic.List`1", ["_items", "_size" | _]), do: :list
+  # The schema of depth images calls the scale a number; both of these may be missing.
+  defp member(_types, :depth_image, "depthValueSemantics", _type),
+    do: {:value, {:raw, Layout.struct([{"hasValue", :bool}, {"value", :int32}])}}
 
-  defp shape("System.Collections.Generic.Dictionary`2", ["Comparer", "KeyValuePairs"]),
-    do: :dictionary
+  defp member(_types, :depth_image, "depthValueToMetersScaleFactor", _type),
+    do: {:value, {:raw, Layout.struct([{"hasValue", :bool}, {"value", :float64}])}}
 
-  defp shape("System.Collections.Generic.Dictionary`2", _), do: :old_dictionary
-  defp shape("System.Nullable`1", _), do: :nullable
-  defp shape("System.Tuple`" <> _, _), do: :tuple
-  defp shape("System.ValueTuple`" <> _, _), do: :tuple
-  defp shape("Microsoft.Psi.Shared`1", _), do: :shared
-  defp shape("Microsoft.Psi.SharedContainer`1", _), do: :shared
-  defp shape("Microsoft.Psi.Imaging.Image", _), do: :image
-  defp shape("Microsoft.Psi.Imaging.DepthImage", _), do: :depth_image
-  defp shape("Microsoft.Psi.Imaging.EncodedImage", _), do: :encoded_image
-  defp shape("Microsoft.Psi.Imaging.EncodedDepthImage", _), do: :encoded_depth_image
-  defp shape("Microsoft.Psi.Audio.AudioBuffer", _), do: :audio
-  defp shape(_name, _members), do: :map
+  defp member(types, _shape, _name, type), do: handler(types, type)
 
   defp layout(types, name, schema, depth) do
     fields =
       for {member, type} <- schema.members,
           do: {member, member_layout(types, TypeName.short(type), depth + 1)}
 
-    Layout.primitive(name) || Layout.struct(laid_out(name, fields))
+    Layout.primitive(name) || laid_out(name, fields)
   end
 
-  # The runtime orders the fields of these by size.
-  defp laid_out("System.ValueTuple`" <> _, fields),
-    do: Enum.sort_by(fields, fn {_, layout} -> -Layout.size(layout) end)
-
-  defp laid_out(_name, fields), do: fields
+  defp laid_out("System.ValueTuple`" <> _, [_ | _] = fields), do: Layout.tuple(fields)
+  defp laid_out(_name, fields), do: Layout.struct(fields)
 
   defp member_layout(types, name, depth) do
     primitive = Layout.primitive(name)
@@ -208,19 +215,22 @@ defmodule Situ.Bridge.Psi.Types do
     cond do
       primitive -> primitive
       schema && depth < @deepest -> layout(types, name, schema, depth)
-      true -> nullable(types, TypeName.parse(name), depth)
+      true -> unlisted_layout(types, TypeName.parse(name), depth)
     end
   end
 
-  defp nullable(types, %{name: "System.Nullable`1", args: [inner]}, depth) when depth < @deepest,
-    do:
-      Layout.struct([
-        {"hasValue", :bool},
-        {"value", member_layout(types, TypeName.short(inner), depth + 1)}
-      ])
+  defp unlisted_layout(types, %{name: "System.Nullable`1", args: [inner]}, depth)
+       when depth < @deepest,
+       do: nullable_layout(types, inner, depth + 1)
 
-  # An enum that no schema tells of has 32 bits as nearly all do.
-  defp nullable(_types, _parsed, _depth), do: :int32
+  defp unlisted_layout(_types, %{name: "Microsoft.Psi." <> _}, _depth), do: :int32
+  # It can only be an enum.
+  defp unlisted_layout(types, _parsed, _depth), do: types.enum
+
+  defp nullable_layout(types, inner, depth \\ 0) do
+    value = member_layout(types, TypeName.short(inner), depth)
+    Layout.struct([{"hasValue", :bool}, {"value", value}])
+  end
 
   @doc "The `Situ.Type` of what comes of it. Objects may be nil besides: .NET does not say where."
   @spec situ(t(), String.t()) :: Situ.Type.t()
@@ -236,17 +246,35 @@ defmodule Situ.Bridge.Psi.Types do
     inner = fn -> Enum.map(args, &situ(types, &1, depth + 1)) end
 
     case {name, args} do
-      {"System.String", _} -> :string
-      {"System.Object", _} -> :any
-      {"System.IO.MemoryStream", _} -> :binary
-      {"System.Nullable`1", [_]} -> {:optional, hd(inner.())}
-      {"System.Collections.Generic.List`1", [_]} -> {:list, hd(inner.())}
-      {"System.Collections.Generic.IEnumerable`1", [_]} -> {:list, hd(inner.())}
-      {"System.Collections.Generic.Dictionary`2", [_, _]} -> List.to_tuple([:map | inner.()])
-      {"System.Tuple`" <> _, _} -> {:tuple, inner.()}
-      {"System.ValueTuple`" <> _, _} -> {:tuple, inner.()}
-      {"Microsoft.Psi.Shared`1", [_]} -> hd(inner.())
-      _ -> Situ.Bridge.Psi.Media.type(name) || plain(types, parsed)
+      {"System.String", _} ->
+        :string
+
+      {"System.Object", _} ->
+        :any
+
+      {"System.IO.MemoryStream", _} ->
+        :binary
+
+      {"System.Nullable`1", [_]} ->
+        {:optional, hd(inner.())}
+
+      {"System.Collections." <> _ = many, [_]} ->
+        if Shapes.list?(many), do: {:list, hd(inner.())}, else: plain(types, parsed)
+
+      {"System.Collections." <> _ = many, [_, _]} ->
+        if Shapes.map?(many), do: List.to_tuple([:map | inner.()]), else: plain(types, parsed)
+
+      {"System.Tuple`" <> _, _} ->
+        {:tuple, inner.()}
+
+      {"System.ValueTuple`" <> _, _} ->
+        {:tuple, inner.()}
+
+      {"Microsoft.Psi.Shared`1", [_]} ->
+        hd(inner.())
+
+      _ ->
+        Situ.Bridge.Psi.Media.type(name) || plain(types, parsed)
     end
   end
 

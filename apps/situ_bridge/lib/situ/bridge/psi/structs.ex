@@ -1,0 +1,36 @@
+defmodule Situ.Bridge.Psi.Structs do
+  @moduledoc false
+  # Value types by name, for stores whose schemas do not tell them from classes, or that have no schema of them.
+
+  @generic ~w(System.ValueTuple` System.Nullable` System.Collections.Generic.KeyValuePair` Microsoft.Psi.Message`)
+
+  @structs MapSet.new(
+             ~w(Microsoft.Psi.Audio.AudioBuffer Microsoft.Psi.Envelope MathNet.Spatial.Units.Angle
+                System.DateTimeOffset) ++
+               for(
+                 name <-
+                   ~w(Point2D Point3D Vector2D Vector3D UnitVector3D Quaternion EulerAngles Line3D
+                            LineSegment2D LineSegment3D Ray3D Circle2D Circle3D),
+                 do: "MathNet.Spatial.Euclidean." <> name
+               ) ++
+               for(
+                 name <- ~w(Point PointF Size SizeF Rectangle RectangleF Color),
+                 do: "System.Drawing." <> name
+               ) ++
+               for(
+                 name <- ~w(Vector2 Vector3 Vector4 Quaternion Plane Complex Matrix3x2 Matrix4x4),
+                 do: "System.Numerics." <> name
+               )
+           )
+
+  @enums for name <- ~w(CompressionMethod DepthCompressionMethod PixelFormat DepthValueSemantics),
+             do: "Microsoft.Psi.Imaging." <> name
+
+  @doc "Whether the type with this name, without assemblies, is a struct."
+  @spec known?(String.t()) :: boolean()
+  def known?(name), do: String.starts_with?(name, @generic) or MapSet.member?(@structs, name)
+
+  @doc "Enums of 32 bits that pictures are written with."
+  @spec enums() :: [String.t()]
+  def enums, do: @enums
+end
