@@ -29,11 +29,12 @@ defmodule Situ.Infer do
   | text | what somebody wants | `Situ.Intent.Detector` |
   | a question | a language model's answer | `Situ.Chat` |
   | mouths and voice | who speaks | `who_speaks/3`, `Situ.Infer.ActiveSpeaker` |
+  | that and speech | utterances of one person each | `turns/3` |
 
   Models run in ONNX Runtime, which `bin/setup` fetches; without it the components that need it stop the pipeline with
   `:no_onnxruntime`, and the energy detectors go on working.
   """
-  alias Situ.Infer.{ActiveSpeaker, SpeechRecognizer, VoiceActivity}
+  alias Situ.Infer.{ActiveSpeaker, SpeakerTurns, SpeechRecognizer, VoiceActivity}
   alias Situ.Stream
 
   # Voices come every 32 ms, so one lies within 16 ms of any picture; the rest is room for clocks that differ a little.
@@ -54,6 +55,15 @@ defmodule Situ.Infer do
   @spec who_speaks(Stream.t(), Stream.t() | nil, keyword()) :: Stream.t()
   def who_speaks(mouths, voice, opts \\ []),
     do: mouths |> beside(voice) |> Situ.via(ActiveSpeaker, opts)
+
+  @doc """
+  Speech or not, with an end where another face takes over without a pause (`Situ.Infer.SpeakerTurns`, whose options it
+  takes). `heard` are the outputs of `Situ.Infer.VoiceActivity`, `who` is what `who_speaks/3` gives.
+  """
+  @spec turns(%{atom() => Stream.t()}, Stream.t(), keyword()) :: Stream.t()
+  def turns(%{speaking: speaking, voice: voice}, who, opts \\ []) do
+    Situ.via([heard: Situ.join(speaking, voice), who: who], SpeakerTurns, opts)
+  end
 
   @doc """
   Recognises the speech in 16 kHz mono sound: a stream of `Situ.Infer.Speech.Utterance`, each at the time of its end.

@@ -6,7 +6,8 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
 
   `input:` is a file, `"simulated:talk1.mp4"`, or a camera (`"/dev/video0"`). The recording, `path/Talk.NNNN`, holds
   the sound, the pictures as JPEG, what the models saw in them, who was speaking, and the pipeline's own diagnostics.
-  With `transcript: true` also what was said (`Situ.Infer.Speech.Moonshine`).
+  With `transcript: true` also what was said (`Situ.Infer.Speech.Moonshine`), and boxes with the words at the faces that
+  say them.
   """
   use Situ.Pipeline
 
@@ -53,14 +54,22 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
     )
 
     record.(speaking, "Speaking")
-    record.(opts[:transcript] && hear && transcript(talk.audio, hear.speaking), "Transcript")
+    said = opts[:transcript] && hear && transcript(talk.audio, hear, speaking)
+    record.(said, "Transcript")
+    record.(said && lips && words(lips.mouths, speaking, said), "Words")
     record.(Situ.Diagnostics.stream(p), "Diagnostics")
     store
   end
 
-  defp transcript(sound, speaking) do
+  defp transcript(sound, hear, who) do
+    speaking = if who, do: Situ.Infer.turns(hear, who), else: hear.speaking
     inputs = [sound: sound, speaking: speaking]
     Situ.via(inputs, SpeechRecognizer, partial: nil, name: "SpeechRecognizer").out
+  end
+
+  defp words(mouths, speaking, said) do
+    inputs = [faces: Situ.join(mouths, speaking), said: said]
+    Situ.via(inputs, Situ.Examples.Words, name: "Words")
   end
 
   defp jpeg(picture) do

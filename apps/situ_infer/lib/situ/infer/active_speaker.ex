@@ -44,6 +44,13 @@ defmodule Situ.Infer.ActiveSpeaker do
       default: 400_000_000,
       doc:
         "How long a mouth may rest, ns, while a voice is heard, before its owner no longer counts as the speaker."
+    ],
+    doubt: [
+      type: {:range, 0, 1},
+      default: 0.25,
+      doc:
+        "A mouth that agrees less than this with a voice of 1.2 s and more, and is closed again and again while it " <>
+          "is loud, is not the speaker's: somebody chews while another one talks. 0 leaves it the speaker's."
     ]
   ]
 
@@ -67,7 +74,8 @@ defmodule Situ.Infer.ActiveSpeaker do
     3. Where none agrees clearly, the one face that was at rest and begins to move as the voice begins becomes the
        speaker.
     4. Once found, a speaker stays the speaker while the mouth moves and the voice goes on, unless another face agrees
-       much better: within fluent speech lips and loudness agree less than at its beginning.
+       much better: within fluent speech lips and loudness agree less than at its beginning. But lips that go their
+     own way for more than a second, closed where the voice is loud, are not the speaker's, however much they move.
 
   The decision depends only on the messages, never on their arrival: the same recording gives the same answers.
 
@@ -95,6 +103,9 @@ defmodule Situ.Infer.ActiveSpeaker do
 
   # A mouth begins to move up to this long before or after its voice is heard.
   @onset_ns 400_000_000
+  # Lips and voice are compared over so long before one is doubted: chance agreement over less is common.
+  @doubt_ns 1_200_000_000
+  @memory_ns 2_000_000_000
 
   defstruct [
     :opts,
@@ -105,7 +116,8 @@ defmodule Situ.Infer.ActiveSpeaker do
     since: nil,
     speaker: nil,
     moved: nil,
-    before: nil
+    before: nil,
+    free: nil
   ]
 
   @type t :: %__MODULE__{}
@@ -174,7 +186,7 @@ defmodule Situ.Infer.ActiveSpeaker do
   end
 
   defp forget(moments, now, opts) do
-    oldest = now - max(opts.window, 4 * @onset_ns) - opts.lookahead - opts.hold
+    oldest = now - max(opts.window, @memory_ns) - opts.lookahead - opts.hold
     Enum.take_while(moments, &(&1.time >= oldest))
   end
 
@@ -184,12 +196,15 @@ defmodule Situ.Infer.ActiveSpeaker do
 
     state =
       if voice?(seen, moment.time - opts.hold, opts),
-        do: appoint(%{state | since: state.since || moment.time}, moment.time, seen, until),
+        do: state |> begin(moment.time) |> appoint(moment.time, seen, until),
         else: silent(state, moment.time)
 
     speaking = Map.new(moment.mouths, fn {id, _} -> {id, id == state.speaker} end)
     {{moment.time, speaking}, state}
   end
+
+  defp begin(%{since: nil} = state, time), do: %{state | since: time, free: time}
+  defp begin(state, _time), do: state
 
   defp silent(%{speaker: nil} = state, _time), do: %{state | since: nil}
   defp silent(state, time), do: %{state | since: nil, speaker: nil, before: {state.speaker, time}}
@@ -207,21 +222,39 @@ defmodule Situ.Infer.ActiveSpeaker do
     own = Map.get(scores, state.speaker, 0.0)
 
     cond do
-      score > opts.agreement and takes_over?(best, state.speaker, score, own, opts) ->
-        %{state | speaker: best, moved: time}
+      score > opts.agreement and takes_over?(best, state.speaker, score, own, opts) and
+          not doubtful?(state, best, seen, until) ->
+        appointed(state, best, time)
 
       state.speaker == nil ->
         unclear(state, time, seen, until)
+
+      doubtful?(state, state.speaker, seen, until) ->
+        %{state | speaker: nil}
 
       moving?(state.speaker, seen, until - @syllable_ns, opts.movement) ->
         %{state | moved: time}
 
       time - state.moved > opts.still ->
-        %{state | speaker: nil}
+        %{state | speaker: nil, free: time}
 
       true ->
         state
     end
+  end
+
+  # A new speaker's lips are compared with the voice from when the one before gave way.
+  defp appointed(%{speaker: nil} = state, id, time), do: %{state | speaker: id, moved: time}
+  defp appointed(%{speaker: id} = state, id, time), do: %{state | moved: time}
+  defp appointed(state, id, time), do: %{state | speaker: id, moved: time, free: time}
+
+  # Whether this mouth contradicts the voice, ever since the voice was free to be its own.
+  defp doubtful?(%{speaker: other}, id, _seen, _until) when other not in [nil, id], do: false
+
+  defp doubtful?(%{opts: opts} = state, id, seen, until) do
+    from = max(state.free, until - @memory_ns)
+    window = Enum.take_while(seen, &(&1.time >= from))
+    until - from >= @doubt_ns and Agreement.contradicts?(window, id, @clear_movement, opts.doubt)
   end
 
   # Nobody agrees clearly: who spoke a moment ago, or who alone began to move with the voice. A mouth that merely
@@ -230,6 +263,7 @@ defmodule Situ.Infer.ActiveSpeaker do
     movers =
       for {id, _} <- hd(seen).mouths,
           range(id, seen, until - @syllable_ns, until) > state.opts.movement,
+          not doubtful?(state, id, seen, until),
           do: id
 
     case {state.before, movers} do
@@ -237,7 +271,7 @@ defmodule Situ.Infer.ActiveSpeaker do
         %{state | speaker: id, moved: time}
 
       {_, [id]} ->
-        if began?(id, seen, state.since), do: %{state | speaker: id, moved: time}, else: state
+        if began?(id, seen, state.since), do: appointed(state, id, time), else: state
 
       _ ->
         state

@@ -72,6 +72,8 @@ defmodule Situ.Infer.SpeechRecognizer do
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Infer.Speech.Utterance
 
+  # A value of `speaking` is about so much sound.
+  @value 32_000_000
   # Sound before anybody speaks is forgotten after this.
   @memory 2_000_000_000
 
@@ -83,7 +85,9 @@ defmodule Situ.Infer.SpeechRecognizer do
     heard_to: nil,
     deaf?: false,
     asked: :queue.new(),
+    asked_to: nil,
     answered_to: nil,
+    said_to: nil,
     open: nil
   ]
 
@@ -101,7 +105,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   end
 
   def handle_message(:speaking, %{data: speaking?, originating_time: time}, context, state),
-    do: answer(%{state | asked: :queue.in({time, speaking?}, state.asked), now: context.now})
+    do: answer(%{ask(state, {time, speaking?}, time) | now: context.now})
 
   def handle_message(:options, %{data: changes}, _context, %{opts: opts} = state) do
     own = Keyword.merge(opts.recognizer_options, changes)
@@ -115,11 +119,13 @@ defmodule Situ.Infer.SpeechRecognizer do
   def handle_closed(:sound, _time, _context, state), do: answer(%{state | deaf?: true})
 
   def handle_closed(:speaking, _time, _context, state),
-    do: answer(%{state | asked: :queue.in(:closed, state.asked)})
+    do: state |> ask(:closed, :infinity) |> answer()
 
   @impl true
   def describe(%{open: nil}), do: "nobody speaks"
   def describe(_state), do: "somebody speaks"
+
+  defp ask(state, value, to), do: %{state | asked: :queue.in(value, state.asked), asked_to: to}
 
   # Each value of `speaking` is handled once the sound around it has come.
   defp answer(state) do
@@ -153,17 +159,26 @@ defmodule Situ.Infer.SpeechRecognizer do
   defp foresee(%{open: %{to: to}} = state),
     do: put_in(state.open.early, {to, recognize(state, to + state.opts.margin)})
 
-  defp ready?(%{deaf?: true}, _next), do: true
+  defp ready?(%{deaf?: true, asked_to: :infinity}, _next), do: true
+
+  defp ready?(%{deaf?: true} = state, next),
+    do: ready?(%{state | deaf?: false, heard_to: :infinity}, next)
+
   defp ready?(_state, :closed), do: false
   defp ready?(%{heard_to: nil}, _next), do: false
-  defp ready?(state, {time, _}), do: state.heard_to >= time + state.opts.margin
+  # The margin behind speech ends where the next speech begins, so that has to be known, too.
+  defp ready?(%{open: open, opts: opts} = state, {time, speaking?}) do
+    until = time + opts.margin
+    known? = speaking? or open == nil or state.asked_to >= until
+    known? and state.heard_to >= until
+  end
 
   defp step(:closed, %{open: nil} = state), do: {[], state}
   defp step(:closed, state), do: finish(state)
 
   defp step({time, true}, %{open: nil} = state) do
     # The first value of `true` covers a stretch of sound before it.
-    from = max(time - 32_000_000, state.answered_to || time - 32_000_000)
+    from = max(time - @value, state.answered_to || time - @value)
     {[], %{state | open: %{from: from, to: time, said: from, early: nil}, answered_to: time}}
   end
 
@@ -172,7 +187,7 @@ defmodule Situ.Infer.SpeechRecognizer do
     length = time - open.from
 
     cond do
-      length >= opts.longest -> finish(state)
+      length >= opts.longest -> cut(state)
       late?(state, time) -> {[], state}
       opts.partial && time - open.said >= max(opts.partial, div(length, 10)) -> partial(state)
       true -> {[], state}
@@ -198,11 +213,24 @@ defmodule Situ.Infer.SpeechRecognizer do
        when to - from < shortest,
        do: {[], %{state | open: nil}}
 
-  defp finish(%{open: %{to: to, early: {to, result}} = open} = state),
-    do: {said(:out, result, open, true), %{state | open: nil}}
+  defp finish(%{open: %{to: to, early: {to, result}}} = state), do: finished(state, result)
 
-  defp finish(%{open: open, opts: opts} = state),
-    do: {said(:out, recognize(state, open.to + opts.margin), open, true), %{state | open: nil}}
+  defp finish(%{open: %{to: to}, opts: opts} = state),
+    do: finished(state, recognize(state, max(to, min(to + opts.margin, next_begins(state)))))
+
+  # Whoever talks for too long goes on at once: no margin.
+  defp cut(state), do: finished(state, recognize(state, state.open.to))
+
+  defp finished(%{open: open} = state, result),
+    do: {said(:out, result, open, true), %{state | open: nil, said_to: open.to}}
+
+  # Where the next utterance begins, when that is known already: its words are not this one's.
+  defp next_begins(%{asked: asked}) do
+    case Enum.find(:queue.to_list(asked), &match?({_, true}, &1)) do
+      {time, true} -> time - @value
+      nil -> :infinity
+    end
+  end
 
   defp said(_output, %{text: ""}, _open, _final?), do: []
 
@@ -225,7 +253,10 @@ defmodule Situ.Infer.SpeechRecognizer do
   defp placed(word, begins), do: %{word | from: begins + word.from, to: begins + word.to}
 
   defp recognize(%{open: open, opts: opts, model: model} = state, to) do
-    case stretch(state.sound, open.from - opts.margin, to) do
+    from = open.from - opts.margin
+    from = if state.said_to, do: max(from, state.said_to), else: from
+
+    case stretch(state.sound, from, to) do
       nil ->
         %{text: ""}
 

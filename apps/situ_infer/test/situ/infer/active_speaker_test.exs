@@ -58,6 +58,18 @@ defmodule Situ.Infer.ActiveSpeakerTest do
     assert Enum.slice(said, 70, 50) |> Enum.uniq() == [[]]
   end
 
+  test "a mouth that chews while another voice talks is soon told from the speaker's" do
+    voice = fn i -> if i in 25..110, do: {1.0, 0.05 + 0.2 * wave(i)}, else: {0.0, 0.001} end
+    bite = fn i -> if i in 18..110, do: abs(:math.sin(i * 0.39)), else: 0.0 end
+    said = decide(130, fn i -> %{0 => 0.05 + 0.1 * bite.(i)} end, voice)
+    assert Enum.slice(said, 62, 68) |> Enum.uniq() == [[]]
+
+    # Lips that stay open and agree with nothing are no proof: a mesh says little about how wide a wide mouth is.
+    open = fn i -> if i in 25..110, do: 0.16 + 0.04 * :math.sin(i * 1.9), else: 0.05 end
+    said = decide(130, fn i -> %{0 => open.(i)} end, voice)
+    assert Enum.slice(said, 35, 70) |> Enum.uniq() == [[0]]
+  end
+
   test "no faces and no sound are no error" do
     assert decide(10, fn _ -> %{} end, &talk/1) |> Enum.uniq() == [[]]
     {out, speaker} = ActiveSpeaker.push(ActiveSpeaker.new(), 0, %{}, nil)

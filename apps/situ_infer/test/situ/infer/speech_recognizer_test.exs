@@ -66,6 +66,16 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     assert Enum.map(out, fn {_, u} -> u.text end) == ["46-369", "590-999"]
   end
 
+  test "margins end where the speech before or after begins: no sound is in two utterances" do
+    out = run(sound(2_000, 20), speaking(1_984, [{96, 640}, {672, 960}]), margin: 150 * @ms)
+    assert Enum.map(out, fn {_, u} -> u.text end) == ["0-671", "640-1109"]
+
+    out =
+      run(sound(2_000, 20), speaking(1_984, [{96, 1_600}]), margin: 100 * @ms, longest: 640 * @ms)
+
+    assert Enum.map(out, fn {_, u} -> u.text end) == ["0-735", "736-1375", "1376-1699"]
+  end
+
   test "what is shorter than speech is none" do
     spoken = [{96, 320}, {640, 736}, {960, 1_248}]
     out = run(sound(2_000, 20), speaking(2_000, spoken), shortest: 200 * @ms)

@@ -17,7 +17,7 @@ defmodule Situ.Examples.Demo.Transcript do
   alias Situ.Infer.Speech.Utterance
 
   # A face that speaks in fewer of the pictures is not the one that is heard.
-  @share 0.3
+  @share 0.5
 
   @type line :: %{
           face: term() | nil,
@@ -36,7 +36,9 @@ defmodule Situ.Examples.Demo.Transcript do
     end
   end
 
-  defp speaker(said, found) do
+  @doc "The rectangle of the face that says it, `nil` for a voice from outside of the picture."
+  @spec speaker(Utterance.t(), Score.found()) :: Situ.Rect.t() | nil
+  def speaker(said, found) do
     pictures = for {time, faces} <- found, time >= said.from, time <= said.to, do: faces
     speaking = for faces <- pictures, {rect, true} <- faces, do: rect
 

@@ -6,6 +6,8 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
 
   @min_pairs 4
   @tiny 1.0e-9
+  @closed 0.3
+  @closed_share 0.125
 
   @doc "The face that agrees best, its score, and the scores of all; `{nil, 0.0, %{}}` without faces."
   @spec best([Moment.t()], float()) :: {term(), float(), %{term() => float()}}
@@ -31,6 +33,30 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
       {low, high} = pairs |> Enum.map(&elem(&1, 0)) |> Enum.min_max()
       correlation(pairs) * min(1.0, (high - low) / clear)
     end
+  end
+
+  @doc """
+  Whether lips that clearly move contradict the voice: they agree less than `doubt` with it, and in an eighth of the
+  loud moments they are closed. (A mesh says little about how wide a wide mouth is, so that agreement alone is no sign.)
+  """
+  @spec contradicts?([Moment.t()], term(), float(), float()) :: boolean()
+  def contradicts?(window, id, clear, doubt) do
+    pairs = for m <- window, mouth = m.mouths[id], do: {mouth.opening, m.loudness}
+
+    baseline =
+      for(m <- window, mouth = m.mouths[id], do: mouth.baseline) |> Enum.min(fn -> 0.0 end)
+
+    {low, high} = pairs |> Enum.map(&elem(&1, 0)) |> Enum.min_max(fn -> {0.0, 0.0} end)
+    low = min(low, baseline)
+
+    high - low > clear and correlation(pairs) < doubt and
+      closed_share(pairs, low + @closed * (high - low)) >= @closed_share
+  end
+
+  defp closed_share(pairs, closed) do
+    mean = Enum.sum(Enum.map(pairs, &elem(&1, 1))) / length(pairs)
+    loud = for {opening, loudness} <- pairs, loudness >= mean, do: opening
+    Enum.count(loud, &(&1 < closed)) / length(loud)
   end
 
   @doc "Pearson's correlation, 0.0 where one side does not change."

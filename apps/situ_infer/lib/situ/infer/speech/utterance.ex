@@ -10,6 +10,8 @@ defmodule Situ.Infer.Speech.Utterance do
       iex> Situ.Infer.Speech.Utterance.words(said.text)
       ["ten", "of", "clubs"]
   """
+  alias Situ.Intent.Number
+
   @enforce_keys [:text, :from, :to, :confidence]
   defstruct [:text, :from, :to, :confidence, final?: true, words: [], alternatives: []]
 
@@ -23,10 +25,29 @@ defmodule Situ.Infer.Speech.Utterance do
           alternatives: [Situ.Infer.Speech.Recognizer.alternative()]
         }
 
-  @doc "The words of a text without case and punctuation: what recognisers are compared by."
+  @doc """
+  The words of a text without case and punctuation, numbers and titles written out: what recognisers are compared by.
+
+      iex> Situ.Infer.Speech.Utterance.words("Mr. Dashwood, 10 meters!")
+      ["mister", "dashwood", "ten", "meters"]
+  """
   @spec words(String.t()) :: [String.t()]
   def words(text) do
-    text |> String.downcase() |> String.replace(~r/[^\p{L}\p{N}' ]/u, " ") |> String.split()
+    text
+    |> String.downcase()
+    |> String.replace(~r/[^\p{L}\p{N}' ]/u, " ")
+    |> String.split()
+    |> Enum.flat_map(&spoken/1)
+  end
+
+  defp spoken("mr"), do: ["mister"]
+  defp spoken("mrs"), do: ["missus"]
+  defp spoken("dr"), do: ["doctor"]
+
+  defp spoken(word) do
+    if word =~ ~r/\A(0|[1-9][0-9]{0,2})\z/,
+      do: word |> String.to_integer() |> Number.words() |> String.split(),
+      else: [word]
   end
 
   @doc """

@@ -1,0 +1,88 @@
+defmodule Situ.Examples.Words do
+  @moduledoc """
+  The words of whoever speaks, at the face that says them: subtitles with an owner.
+
+  Input `:faces` is `{mouths, speaking}` for every picture (`Situ.Infer.MouthShape`, `Situ.Infer.who_speaks/3`), `:said`
+  the utterances. Output `:out` has, for each picture of an utterance, the rectangle of its speaker with a few of the
+  words as label, and nothing where the voice is from outside of the picture.
+  """
+  use Situ.Component,
+    inputs: [
+      faces: {:tuple, [{:map, :any, Situ.Infer.Mouth}, {:map, :any, :boolean}]},
+      said: Situ.Infer.Speech.Utterance
+    ],
+    outputs: [out: {:list, Situ.Rect}]
+
+  alias Situ.Examples.Demo.Transcript
+
+  # Words of a picture.
+  @at_once 6
+  # Pictures wait so long for what is said in them: longer than any utterance, and the time to recognise it.
+  @patience 60_000_000_000
+
+  defstruct pictures: [], said: []
+
+  @type t :: %__MODULE__{}
+
+  @impl true
+  def init(_opts), do: {:ok, %__MODULE__{}}
+
+  @impl true
+  def handle_message(:faces, %{data: {mouths, speaking}, originating_time: time}, _context, state) do
+    faces =
+      for {id, speaks?} <- speaking, mouth = mouths[id], mouth.rect, do: {mouth.rect, speaks?}
+
+    waiting = Enum.take_while(state.pictures, fn {t, _} -> time - t < @patience end)
+    answer(%{state | pictures: [{time, faces} | waiting]})
+  end
+
+  def handle_message(:said, %{data: said}, _context, state),
+    do: answer(%{state | said: state.said ++ [said]})
+
+  @impl true
+  def handle_closed(:faces, _time, _context, %{pictures: pictures} = state) when pictures != [],
+    do: answer(%{state | pictures: [{:infinity, []} | pictures]})
+
+  def handle_closed(_input, _time, _context, state), do: {[], state}
+
+  # An utterance is placed once there is a picture after it.
+  defp answer(%{said: [said | others], pictures: [{newest, _} | _] = pictures} = state)
+       when newest > said.to do
+    {after_it, rest} = Enum.split_while(pictures, fn {time, _} -> time > said.to end)
+    found = rest |> Enum.take_while(fn {time, _} -> time >= said.from end) |> Enum.reverse()
+    {more, state} = answer(%{state | said: others, pictures: after_it})
+    {boxes(said, found) ++ more, state}
+  end
+
+  defp answer(state), do: {[], state}
+
+  defp boxes(said, found) do
+    speaker = Transcript.speaker(said, found)
+
+    for {time, faces} <- found do
+      seen =
+        for {rect, _} <- faces,
+            speaker != nil,
+            rect.id == speaker.id,
+            do: %{rect | label: words(said, time)}
+
+      {:out, time, seen}
+    end
+  end
+
+  @doc """
+  The words of an utterance around a time, as if all were equally long.
+
+      iex> said = %Situ.Infer.Speech.Utterance{text: "One two three four five six seven.", from: 0, to: 700, confidence: 1.0}
+      iex> {Situ.Examples.Words.words(said, 10), Situ.Examples.Words.words(said, 650)}
+      {"One two three four", "five six seven."}
+  """
+  @spec words(Situ.Infer.Speech.Utterance.t(), Situ.Time.t()) :: String.t()
+  def words(said, time) do
+    words = String.split(said.text)
+    rows = max(ceil(length(words) / @at_once), 1)
+    rows = Enum.chunk_every(words, max(ceil(length(words) / rows), 1))
+    share = (time - said.from) / max(said.to - said.from, 1)
+    rows |> Enum.at(min(trunc(share * length(rows)), length(rows) - 1), []) |> Enum.join(" ")
+  end
+end
