@@ -64,7 +64,7 @@ defmodule Situ.Examples.Words do
         for {rect, _} <- faces,
             speaker != nil,
             rect.id == speaker.id,
-            do: %{rect | label: words(said, time)}
+            do: %{rect | label: words(said, time), score: nil}
 
       {:out, time, seen}
     end

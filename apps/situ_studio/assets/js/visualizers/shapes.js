@@ -76,8 +76,10 @@ export function drawShapes(ctx, { shapes: s, vis, index }, map) {
   (s.texts ?? []).forEach((text, i) => tag(ctx, text, map.x(0) + 8, map.y(0) + 26 + 22 * i, color));
 }
 
-export function tag(ctx, text, x, y, color) {
+// A text in a box; whole as long as the canvas is wide enough.
+export function tag(ctx, text, left, y, color) {
   const w = ctx.measureText(text).width + 10;
+  const x = Math.max(Math.min(left, (ctx.canvas?.clientWidth || Infinity) - w), Math.min(left, 0));
   const top = Math.max(y - 17, 0);
   ctx.fillStyle = color;
   ctx.fillRect(x, top, w, 17);
