@@ -19,7 +19,7 @@ import { toast } from "./page/toast.js";
 import { onTheme } from "./page/theme.js";
 import { setting } from "./page/settings.js";
 import { absolute } from "./time/text.js";
-import { onClock } from "./time/clock.js";
+import { onClock, setSelected } from "./time/clock.js";
 
 export class Studio {
   // options: {query, dataUrl, pcmUrl, stepUrl (functions), source, layout, edit, push, moved}
@@ -86,6 +86,7 @@ export class Studio {
   }
 
   changed(s, old) {
+    if (setSelected(s.sel[0])) this.redraw();
     this.frames.moved(s, old);
     this.header.update(s);
     this.client.pump();
@@ -164,8 +165,13 @@ export class Studio {
     commands[name]?.(this);
   }
 
-  // Steps to the message before or after the cursor in the snapped stream.
-  async step(name) {
+  // Steps to the message before or after the cursor in the snapped stream, one step after the other.
+  step(name) {
+    this.stepping = (this.stepping ?? Promise.resolve()).then(() => this.stepOnce(name)).catch(() => {});
+    return this.stepping;
+  }
+
+  async stepOnce(name) {
     const dir = name === "back" || name === "jumpBack" ? "previous" : "next";
     const q = new URLSearchParams({ stream: this.client.snap, at: this.client.abs(this.time.get().cursor), dir });
     const r = await fetch(`${this.options.stepUrl()}&${q}`);
@@ -199,7 +205,7 @@ export class Studio {
       this.act(button.dataset.act);
       button.blur();
     });
-    listenGoto(this.time, () => this.client.origin);
+    listenGoto(this.time, this.client);
     this.ticking = setInterval(() => this.tempo(), 1000);
   }
 

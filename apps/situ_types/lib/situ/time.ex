@@ -128,6 +128,8 @@ defmodule Situ.Time do
       "1.23 ms"
       iex> Situ.Time.format_duration(95_000_000_000)
       "1 min 35 s"
+      iex> Situ.Time.format_duration(60 * 24 * 3_600_000_000_000)
+      "60 d 0 h"
   """
   @spec format_duration(duration()) :: String.t()
   def format_duration(ns) when ns < 0, do: "-" <> format_duration(-ns)
@@ -141,9 +143,14 @@ defmodule Situ.Time do
     "#{div(seconds, 60)} min #{rem(seconds, 60)} s"
   end
 
-  def format_duration(ns) do
+  def format_duration(ns) when ns < 2 * 86_400_000_000_000 do
     minutes = div(ns, 60_000_000_000)
     "#{div(minutes, 60)} h #{rem(minutes, 60)} min"
+  end
+
+  def format_duration(ns) do
+    hours = div(ns, 3_600_000_000_000)
+    "#{div(hours, 24)} d #{rem(hours, 24)} h"
   end
 
   defp scale(n, unit) when is_integer(n), do: n * unit

@@ -4,7 +4,8 @@ import { fitted } from "../page/gutter.js";
 import { GUTTER, FONT, theme } from "../page/theme.js";
 import { tip } from "../page/tip.js";
 import { toast } from "../page/toast.js";
-import { duration, relative, ticks } from "../time/text.js";
+import { rulerTicks, shown } from "../time/clock.js";
+import { duration } from "../time/text.js";
 import { ROW, drawOne } from "./draw.js";
 import { annotator } from "./annotator.js";
 import { KeyState } from "./keys.js";
@@ -193,6 +194,7 @@ export class AnnotationPanel {
   }
 
   words(a) {
+    const show = (t) => shown(t, this.app.client.origin);
     const values = Object.entries(a.values).map(([name, v]) => `${name}: ${v}`);
     const about = [
       a.proposed ? "proposed" : "",
@@ -200,9 +202,7 @@ export class AnnotationPanel {
       a.confidence != null ? `confidence ${a.confidence}` : "",
     ];
     const when =
-      a.to === a.from
-        ? `at ${relative(a.from)}`
-        : `${relative(a.from)} to ${relative(a.to)}, ${duration(a.to - a.from)}`;
+      a.to === a.from ? `at ${show(a.from)}` : `${show(a.from)} to ${show(a.to)}, ${duration(a.to - a.from)}`;
     return [`${a.track}   ${when}`, ...values, about.filter(Boolean).join(", "), a.note ?? ""].filter(Boolean);
   }
 
@@ -251,7 +251,7 @@ export class AnnotationPanel {
     ctx.rect(GUTTER.left, head - 2, inner, h);
     ctx.clip();
     ctx.fillStyle = c.grid;
-    for (const t of ticks(view, inner).at) ctx.fillRect(Math.round(x(t)), head, 1, h);
+    for (const t of rulerTicks(view, inner, this.app.client.origin).at) ctx.fillRect(Math.round(x(t)), head, 1, h);
     this.tracks().forEach((track, i) => {
       for (const a of this.told.items) if (a.track === track) drawOne(ctx, this.dragged(a), x, head + i * ROW, this);
       if (track !== this.track) return;

@@ -81,9 +81,12 @@ export class IntervalChannel extends Channel {
     if (f.kind === KIND.series) {
       this.series.put(f, base, from);
       if (w.append) this.series.trim(forget);
-    } else if (f.kind === KIND.lines)
+    } else if (f.kind === KIND.lines) {
       this.lines = keepLines(w.append ? this.lines : new Map(), f.lines, base, from, forget);
-    else if (f.kind === KIND.marks) this.marks = keepMarks(w.append ? this.marks : null, f, base, w.from);
+      // lines that the server leaves out
+      this.more = f.step;
+    }
+    if (f.kind === KIND.marks) this.marks = keepMarks(w.append ? this.marks : null, f, base, w.from);
     else if (f.kind === KIND.sounds) this.sounds = { ...f, base, from: w.append ? w.from : -Infinity };
     else if (f.kind === KIND.segments)
       this.segments = keepSegments(w.append ? this.segments : null, f.value, base, w.from);

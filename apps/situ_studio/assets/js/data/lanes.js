@@ -69,18 +69,18 @@ export function segmentAt(segments, t, slack) {
   return null;
 }
 
-// A segment in words.
-export function segmentText([a, b, label, cls]) {
+// A segment in words; `show` makes words of a time.
+export function segmentText([a, b, label, cls], show = relative) {
   const what = label || { true: "true" }[cls];
-  const when = b === Infinity ? `since ${relative(a)}` : `${relative(a)} to ${relative(b)}, ${duration(b - a)}`;
+  const when = b === Infinity ? `since ${show(a)}` : `${show(a)} to ${show(b)}, ${duration(b - a)}`;
   return what ? [what, when] : [when];
 }
 
 // The message nearest to a time, not farther than `slack`, in words; nothing where there is none.
-export function markText({ t: times, latency }, t, slack) {
+export function markText({ t: times, latency }, t, slack, show = relative) {
   const i = lowerBound(times, t);
   const near = [i - 1, i].filter((k) => k >= 0 && k < times.length && Math.abs(times[k] - t) <= slack);
   if (!near.length) return [];
   const k = near.reduce((p, q) => (Math.abs(times[q] - t) < Math.abs(times[p] - t) ? q : p));
-  return [`message at ${relative(times[k])}`, `latency ${duration(latency[k])}`];
+  return [`message at ${show(times[k])}`, `latency ${duration(latency[k])}`];
 }

@@ -2,7 +2,7 @@
 
 import { annotator } from "../annotation/annotator.js";
 import { ask } from "./ask.js";
-import { openGoto, openHelp } from "./dialogs.js";
+import { openGoto, openHelp, title } from "./dialogs.js";
 import { setTheme } from "./theme.js";
 import { iso } from "../time/text.js";
 import { copy, toast } from "./toast.js";
@@ -90,6 +90,13 @@ export const commands = {
   copyNs(app) {
     if (app.client.origin !== null)
       return copy(app.client.abs(app.time.get().cursor), "Nanoseconds of the cursor copied");
+  },
+
+  // The same with the session, which "go to time" takes in another session of the same list.
+  copyPlace(app) {
+    const { origin } = app.client;
+    if (origin === null) return;
+    return copy(`${title()}@${iso(app.time.get().cursor, origin)}`, "Session and time of the cursor copied");
   },
 
   copyViewerLink: (app) => app.options.push?.("viewer_link", {}),

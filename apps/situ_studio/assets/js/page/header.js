@@ -31,7 +31,10 @@ export class Header {
   paint(s) {
     const origin = this.origin();
     if (origin === null) return;
-    const show = (t) => (t == null ? "–" : shown(t, origin, 1e6));
+    // as fine as what is looked at
+    const w = s.view[1] - s.view[0];
+    const unit = w < 1e5 ? 1 : w < 1e8 ? 1e3 : 1e6;
+    const show = (t) => (t == null ? "–" : shown(t, origin, unit));
     this.set("t-from", day(s.cursor, origin));
     this.set("t-cursor", show(s.cursor));
     this.set("t-start", show(s.sel[0]));

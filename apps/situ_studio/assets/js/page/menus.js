@@ -149,6 +149,7 @@ function timeItems(app, t) {
   const go = (action) => () => app.time.dispatch(action);
   const both = sel[0] != null && sel[1] != null;
   return [
+    { text: "Go to a time…", hint: "Ctrl+G", run: () => app.act("goto") },
     { text: "Cursor here", run: go({ type: "nudge", by: t - app.time.get().cursor }) },
     { text: "Selection starts here", hint: "[", run: go({ type: "selStart", t }) },
     { text: "Selection ends here", hint: "]", run: go({ type: "selEnd", t }) },

@@ -18,11 +18,14 @@ const SI = [
 // A number beside an axis: short, large ones with the prefixes of SI.
 export function axisNumber(x) {
   const a = Math.abs(x);
+  if (a >= 1e15 || (a < 1e-4 && a > 0)) return x.toExponential(2).replace(/\.?0*e\+?/, "e");
   if (a < 10000) return number(x, 4);
-  if (a >= 1e15) return x.toExponential(1);
   const [factor, letter] = SI.find(([f]) => a >= f);
   return `${number(x / factor, 4)} ${letter}`;
 }
+
+// How many ticks a value axis of so many pixels has: close ones where it is low, few where it is high.
+export const tickCount = (px) => Math.max(2, Math.min(Math.floor(px / 24), 4 + Math.floor(px / 80)));
 
 // Ticks of a value axis between lo and hi, about n of them and never one alone, at 1, 2 or 5 times a power of ten.
 export function valueTicks(lo, hi, n) {

@@ -41,6 +41,7 @@ export class Palette {
       { text: "Copy a link to this view", hint: "", run: () => this.app.act("copyLink") },
       { text: "Copy a link that may look, not change", hint: "", run: () => this.app.act("copyViewerLink") },
       { text: "Copy the time of the cursor in ns", hint: "", run: () => this.app.act("copyNs") },
+      { text: "Copy the session and the time of the cursor", hint: "", run: () => this.app.act("copyPlace") },
       ...streams.map((stream) => ({
         text: stream,
         hint: "add stream",

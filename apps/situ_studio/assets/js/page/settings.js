@@ -34,6 +34,7 @@ export const SETTINGS = [
       ["start", "since the start"],
       ["utc", "UTC"],
       ["local", "local"],
+      ["selection", "since the selection's start"],
     ],
   },
   { id: "follow", title: "The cursor follows the mouse", usual: true },

@@ -1,7 +1,7 @@
 // A timeline panel of rows, each drawn by its stream's visualizer.
 
 import { GUTTER, FONT, theme, seriesColor, keyIndex } from "../page/theme.js";
-import { ticks } from "../time/text.js";
+import { rulerTicks, shown } from "../time/clock.js";
 import { byName } from "../data/series.js";
 import { brackets } from "../visualizers/paint.js";
 import { segmentAt } from "../data/lanes.js";
@@ -53,7 +53,8 @@ export class LanesPanel {
     const at = this.place(e);
     if (!at) return [];
     const { row, t, px } = at;
-    return row.l.drawer.under({ channel: row.l.channel, name: row.lane }, t, NEAR * px);
+    const show = (time) => shown(time, this.app.client.origin, Math.max(px, 1) > 1e5 ? 1e6 : 1e3);
+    return row.l.drawer.under({ channel: row.l.channel, name: row.lane }, t, NEAR * px, show);
   }
 
   // The times at which something begins or ends.
@@ -160,7 +161,7 @@ export class LanesPanel {
     ctx.strokeStyle = t.grid;
     ctx.lineWidth = 1;
     ctx.beginPath();
-    for (const at of ticks(view, inner).at) {
+    for (const at of rulerTicks(view, inner, this.app.client.origin).at) {
       const px = Math.round(x(at)) + 0.5;
       ctx.moveTo(px, 0);
       ctx.lineTo(px, h);

@@ -31,9 +31,11 @@ export class Legend {
     for (const layer of panel.layers) {
       if (!entries.some((e) => e.layer === layer)) entries.push({ layer, name: "", series: null });
     }
-    const named = JSON.stringify(
+    const more = panel.layers.map((l) => l.channel.more ?? 0);
+    const named = JSON.stringify([
+      more,
       entries.map((e) => [e.layer.vis.name, e.name, panel.color(e, 0), e.layer.vis.props?.visible]),
-    );
+    ]);
     const same = named === this.named;
     this.named = named;
     const rows = this.entries;
@@ -86,9 +88,22 @@ export class Legend {
   // Entries for which there is no room are counted.
   more() {
     const rows = [...this.el.children];
-    const hidden = rows.filter((r) => r.offsetTop > rows[0].offsetTop + 4);
-    this.rest.textContent = hidden.length ? `+${hidden.length}` : "";
-    this.rest.title = hidden.map((r) => r.title).join("\n");
+    const cut = () => rows.filter((r) => r.offsetTop > rows[0].offsetTop + 4);
+    const room = (px) => this.panel.el.style.setProperty("--more", `${px}px`);
+    room(0);
+    let hidden = cut();
+    const more = this.panel.layers.reduce((n, l) => n + (l.channel.more ?? 0), 0);
+    const parts = [hidden.length && `+${hidden.length}`, more && `${more} not drawn`].filter(Boolean);
+    this.rest.textContent = parts.join(", ");
+    if (parts.length) {
+      room(this.rest.offsetWidth + 10);
+      hidden = cut();
+      parts[0] = hidden.length ? `+${hidden.length}` : parts[0];
+      this.rest.textContent = parts.join(", ");
+    }
+    this.rest.title = [...hidden.map((r) => r.title), more && `${more} more keys are not drawn`]
+      .filter(Boolean)
+      .join("\n");
   }
 
   // Values at the cursor, in the legend; one that is older than the stream's pace explains says how old it is.

@@ -3,8 +3,8 @@
 
 import uPlot from "uplot";
 import { GUTTER, FONT, theme, seriesColor, keyIndex } from "../page/theme.js";
-import { ticks } from "../time/text.js";
-import { axisNumber, valueTicks, paddedRange } from "../page/number_text.js";
+import { rulerTicks } from "../time/clock.js";
+import { axisNumber, valueTicks, paddedRange, tickCount } from "../page/number_text.js";
 import { Legend } from "./legend.js";
 import { brackets } from "../visualizers/paint.js";
 import { visualizers } from "../visualizers/index.js";
@@ -79,6 +79,8 @@ export class PlotPanel {
 
   build(width, height) {
     const grid = () => ({ stroke: () => theme().grid, width: 1 });
+    // uPlot draws no axis whose steps are not in its own table; ours are those of `splits`
+    const incrs = (_u, _i, lo, hi) => [Math.max(hi - lo, 5)];
     const options = {
       width,
       height,
@@ -95,19 +97,21 @@ export class PlotPanel {
       axes: [
         {
           size: 0,
+          incrs,
           ticks: { show: false },
           grid: grid(),
           values: () => [],
-          splits: (u, _i, lo, hi) => ticks([lo, hi], u.width - GUTTER.left - GUTTER.right).at,
+          splits: (u, _i, lo, hi) => this.grid([lo, hi], u.width - GUTTER.left - GUTTER.right),
         },
         {
           size: () => GUTTER.left,
+          incrs,
           gap: 6,
           font: FONT,
           stroke: () => theme().axis,
           ticks: { show: false },
           grid: grid(),
-          splits: (u, _i, lo, hi) => valueTicks(lo, hi, Math.max(2, Math.floor((u.height - LEGEND) / 24))),
+          splits: (u, _i, lo, hi) => valueTicks(lo, hi, tickCount(u.height - LEGEND)),
           values: (_u, at) => this.labels(at),
         },
       ],
@@ -121,6 +125,11 @@ export class PlotPanel {
       ],
       this.body,
     );
+  }
+
+  // The times of the lines across, which are those of the ruler.
+  grid(view, px) {
+    return rulerTicks(view, px, this.app.client.origin).at;
   }
 
   range(view) {
@@ -182,7 +191,7 @@ export class PlotPanel {
     ctx.font = FONT;
     ctx.textAlign = "right";
     ctx.textBaseline = "middle";
-    for (const v of valueTicks(lo, hi, Math.max(2, Math.floor((h - LEGEND) / 24)))) {
+    for (const v of valueTicks(lo, hi, tickCount(h - LEGEND))) {
       const at = box.top + box.height - ((v - lo) / (hi - lo)) * box.height;
       ctx.fillStyle = t.grid;
       ctx.fillRect(box.left, at - 0.5, box.width, 1);
@@ -191,7 +200,7 @@ export class PlotPanel {
     }
     const view = this.app.time.get().view;
     ctx.fillStyle = t.grid;
-    for (const at of ticks(view, box.width).at) {
+    for (const at of this.grid(view, box.width)) {
       ctx.fillRect(box.left + ((at - view[0]) / (view[1] - view[0])) * box.width - 0.5, box.top, 1, box.height);
     }
     ctx.textAlign = "left";

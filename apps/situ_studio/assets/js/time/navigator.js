@@ -1,8 +1,8 @@
 // The time navigator: the whole recording with a thumb for the view above, a ruler of the view below.
 
-import { GUTTER, FONT, theme } from "../page/theme.js";
-import { ticks, duration } from "./text.js";
-import { shown } from "./clock.js";
+import { GUTTER, FONT, ink, theme } from "../page/theme.js";
+import { duration } from "./text.js";
+import { rulerTicks, shown } from "./clock.js";
 
 const BAR = 18;
 const GRIP = 6;
@@ -130,7 +130,7 @@ export class Navigator {
     if (last - first < inner - 1) ctx.fillRect(first, top + BAR - 2, Math.max(last - first, 1), 2);
     ctx.font = FONT;
     ctx.textBaseline = "middle";
-    const over = ticks(this.span(), inner, 110);
+    const over = rulerTicks(this.span(), inner, this.app.client.origin, 110);
     for (const t of over.at) {
       const px = x(t);
       if (px > GUTTER.left + inner - 36) continue;
@@ -149,7 +149,8 @@ export class Navigator {
     const base = h - 1;
     const k = inner / (s.view[1] - s.view[0]);
     const vx = (t) => GUTTER.left + (t - s.view[0]) * k;
-    const rule = ticks(s.view, inner, 90);
+    const rule = rulerTicks(s.view, inner, this.app.client.origin);
+    const tags = this.tags(ctx, { s, vx, inner, unit: rule.unit });
     ctx.textAlign = "center";
     ctx.fillStyle = c.axis;
     for (const t of rule.at) {
@@ -159,13 +160,44 @@ export class Navigator {
       ctx.globalAlpha = 1;
       const text = shown(t, this.app.client.origin, rule.unit);
       const half = ctx.measureText(text).width / 2;
-      ctx.fillText(text, Math.min(Math.max(px, GUTTER.left + half), w - half - 2), base - 12);
+      const at = Math.min(Math.max(px, GUTTER.left + half), w - half - 2);
+      if (!tags.some((g) => Math.abs(g.at - at) < g.half + half + 3)) ctx.fillText(text, at, base - 12);
     }
     ctx.textAlign = "right";
     ctx.fillStyle = c.dim;
     ctx.fillText(duration(s.view[1] - s.view[0]), GUTTER.left - 10, base - 12);
+    this.selected(ctx, { s, vx, inner, base });
+    for (const g of tags) drawTag(ctx, g, base);
     ctx.textAlign = "left";
     ctx.textBaseline = "alphabetic";
+  }
+
+  // Names on the ruler: how long the selection is, and the time of the cursor, finer than the ruler tells it.
+  tags(ctx, { s, vx, inner, unit }) {
+    const c = theme();
+    const [left, right] = [GUTTER.left, GUTTER.left + inner];
+    const tag = (text, px, color) => {
+      const half = ctx.measureText(text).width / 2 + 5;
+      return { text, half, color, at: Math.min(Math.max(px, left + half), right - half) };
+    };
+    const [a, b] = this.ends(s, vx, inner);
+    const out = b > a ? [tag(duration(s.sel[1] - s.sel[0]), (a + b) / 2, c.accent)] : [];
+    const at = vx(s.cursor);
+    if (at >= left && at <= right) out.push(tag(shown(s.cursor, this.app.client.origin, unit / 100), at, c.cursor));
+    return out;
+  }
+
+  // The selection on the ruler, from pixel to pixel.
+  ends(s, vx, inner) {
+    if (s.mode === "live" || s.sel[0] == null || s.sel[1] == null) return [0, 0];
+    return s.sel.map((t) => Math.min(Math.max(vx(t), GUTTER.left), GUTTER.left + inner));
+  }
+
+  selected(ctx, { s, vx, inner, base }) {
+    const [a, b] = this.ends(s, vx, inner);
+    if (b <= a) return;
+    ctx.fillStyle = theme().accent;
+    ctx.fillRect(a, base - 4, b - a, 3);
   }
 
   cursorMoved() {
@@ -179,4 +211,14 @@ export class Navigator {
   destroy() {
     this.observer.disconnect();
   }
+}
+
+function drawTag(ctx, { text, half, color, at }, base) {
+  ctx.textAlign = "center";
+  ctx.fillStyle = color;
+  ctx.beginPath();
+  ctx.roundRect(at - half, base - 20, 2 * half, 15, 3);
+  ctx.fill();
+  ctx.fillStyle = ink(color);
+  ctx.fillText(text, at, base - 12);
 }

@@ -9,6 +9,15 @@ const US = 1e3,
   W = 7 * D;
 
 const STEPS = [
+  1,
+  2,
+  5,
+  10,
+  20,
+  50,
+  100,
+  200,
+  500,
   US,
   2 * US,
   5 * US,
@@ -57,16 +66,19 @@ export function step(duration, px, minPx = 80) {
   return STEPS.find((s) => s / perPx >= minPx) ?? STEPS[STEPS.length - 1];
 }
 
-export function ticks([from, to], px, minPx = 80) {
+// `zero(unit)` is the time from which units are counted.
+export function ticks([from, to], px, minPx = 80, zero = () => 0) {
   const unit = step(to - from, px, minPx);
+  const z = zero(unit);
   const out = [];
-  for (let i = Math.ceil(from / unit); i * unit <= to; i++) out.push(i * unit);
+  for (let i = Math.ceil((from - z) / unit); i * unit + z <= to; i++) out.push(i * unit + z);
   return { unit, at: out };
 }
 
 const pad = (n, w = 2) => String(n).padStart(w, "0");
 
-// 83.25e9 -> "1:23.250", relative to the start of the data; decimals follow the ruler's unit.
+// 83.25e9 -> "1:23.250", relative to the start of the data; decimals follow the ruler's unit, and so do days:
+// "1d 2:03:04", and "1d" on a ruler of days.
 export function relative(t, unit = MS) {
   const neg = t < 0;
   const decimals = unit >= S ? 0 : unit >= MS ? 3 : unit >= US ? 6 : 9;
@@ -74,11 +86,13 @@ export function relative(t, unit = MS) {
   let n = Math.round((Math.abs(t) / S) * scale);
   const frac = n % scale;
   n = Math.floor(n / scale);
-  const h = Math.floor(n / 3600),
+  const d = Math.floor(n / 86400),
+    h = Math.floor(n / 3600) % 24,
     m = Math.floor(n / 60) % 60,
     s = n % 60;
   const tail = decimals ? "." + pad(frac, decimals) : "";
-  const text = h ? `${h}:${pad(m)}:${pad(s)}${tail}` : `${m}:${pad(s)}${tail}`;
+  const clock = d || h ? `${h}:${pad(m)}:${pad(s)}${tail}` : `${m}:${pad(s)}${tail}`;
+  const text = unit >= D ? `${d}d` : d ? `${d}d ${clock}` : clock;
   return neg && (n || frac) ? "-" + text : text;
 }
 
@@ -96,7 +110,8 @@ export function duration(t) {
     return `${sign}${Math.floor(tenths / 600)} min ${rest < 10 ? "0" : ""}${rest} s`;
   }
   if (a < H) return `${sign}${Math.floor(a / MIN)} min ${pad(Math.floor((a % MIN) / S))} s`;
-  return `${sign}${Math.floor(a / H)} h ${pad(Math.floor((a % H) / MIN))} min`;
+  if (a < 2 * D) return `${sign}${Math.floor(a / H)} h ${pad(Math.floor((a % H) / MIN))} min`;
+  return `${sign}${Math.floor(a / D)} d ${Math.floor((a % D) / H)} h`;
 }
 
 function digits(x) {
@@ -127,18 +142,18 @@ export function iso(t, origin) {
   return `${date.toISOString().slice(0, 19)}.${pad(ns - s * 1000000000n, 9)}Z`;
 }
 
-// "1:23.5", "83.5", "83.5 s", "250 ms" (from the start of the data), "2026-01-31T12:34:56.7Z" or integer
-// nanoseconds since 1970; null when it is none of these.
+// "1:23.5", "2d 1:00:00", "83.5", "83.5 s", "250 ms", "2d" (from the start of the data), "2026-01-31T12:34:56.7Z" or
+// integer nanoseconds since 1970; null when it is none of these.
 export function parseTime(text, origin) {
   const x = text.trim();
-  let m = /^(-?)(?:(\d+):)?(\d+):(\d{1,2}(?:\.\d+)?)$/.exec(x);
+  let m = /^(-?)(?:(\d+)\s*d\s+)?(?:(\d+):)?(\d+):(\d{1,2}(?:\.\d+)?)$/.exec(x);
   if (m) {
-    const v = ((Number(m[2] ?? 0) * 60 + Number(m[3])) * 60 + Number(m[4])) * S;
+    const v = Number(m[2] ?? 0) * D + ((Number(m[3] ?? 0) * 60 + Number(m[4])) * 60 + Number(m[5])) * S;
     return m[1] ? -v : v;
   }
-  m = /^(-?\d+(?:\.\d+)?)\s*(ns|us|µs|ms|s|min|h)?$/.exec(x);
+  m = /^(-?\d+(?:\.\d+)?)\s*(ns|us|µs|ms|s|min|h|d)?$/.exec(x);
   if (m && !m[2] && /^\d{15,}$/.test(x)) return Number(BigInt(x) - origin);
-  if (m) return Number(m[1]) * { ns: 1, us: US, µs: US, ms: MS, s: S, min: MIN, h: H }[m[2] ?? "s"];
+  if (m) return Number(m[1]) * { ns: 1, us: US, µs: US, ms: MS, s: S, min: MIN, h: H, d: D }[m[2] ?? "s"];
   m = /^(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d)?)(?:\.(\d{1,9}))?(Z|[+-]\d\d:?\d\d)?$/.exec(x);
   if (!m) return null;
   const ms = Date.parse(`${m[1]}T${m[2].length === 5 ? m[2] + ":00" : m[2]}${m[4] ?? "Z"}`);

@@ -22,5 +22,5 @@ export const messages = {
     }
   },
 
-  under: ({ channel }, t, slack) => (channel.marks ? markText(channel.marks, t, slack) : []),
+  under: ({ channel }, t, slack, show) => (channel.marks ? markText(channel.marks, t, slack, show) : []),
 };

@@ -9,9 +9,9 @@ const segments = {
 
   lanes: (channel) => laneNames(channel.segments),
 
-  under({ channel, name }, t, slack) {
+  under({ channel, name }, t, slack, show) {
     const found = segmentAt(channel.segments?.get(name) ?? [], t, slack);
-    return found ? segmentText(found) : [];
+    return found ? segmentText(found, show) : [];
   },
 
   draw(ctx, { channel, name, index }, { view, x, y, h, end }) {
@@ -47,7 +47,8 @@ function one(ctx, [a, b, label, cls], left, width, y, h, color) {
   rounded(ctx, left, y, width - (width > 4 ? 1 : 0), h, Math.min(3, width / 3));
   ctx.fill();
   ctx.globalAlpha = 1;
-  if (soft) ctx.fillRect(left, y, 2, h);
+  // where many stand close together their beginnings do not cover what lies between them
+  if (soft) ctx.fillRect(left, y, Math.min(2, Math.max(width / 4, 0.4)), h);
   if (cls === "true" || width <= 18 || h < 10) return;
   write(
     ctx,
@@ -94,7 +95,7 @@ function write(ctx, label, left, y, width, h, color) {
   let text = label;
   if (ctx.measureText(text).width > room) {
     const n = Math.max(1, Math.floor((text.length * room) / ctx.measureText(text).width) - 1);
-    text = text.slice(0, n) + "…";
+    text = text.slice(0, n).replace(/[\s.,:;]+$/, "") + "…";
   }
   ctx.fillStyle = color;
   ctx.fillText(text, from, y + h / 2 + 0.5);

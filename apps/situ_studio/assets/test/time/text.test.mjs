@@ -7,6 +7,9 @@ test("relative times", () => {
   assert.equal(relative(-1.5e9), "-0:01.500");
   assert.equal(relative(3725e9, 1e9), "1:02:05");
   assert.equal(relative(0.9999999e9, 1e9), "0:01");
+  assert.equal(relative(26 * 3600e9, 3600e9), "1d 2:00:00");
+  assert.equal(relative(14 * 86400e9, 7 * 86400e9), "14d");
+  assert.equal(relative(500, 100), "0:00.000000500");
 });
 
 test("durations", () => {
@@ -14,6 +17,8 @@ test("durations", () => {
   assert.equal(duration(95e9), "1 min 35 s");
   assert.equal(duration(61.94e9), "1 min 01.9 s");
   assert.equal(duration(119.97e9), "2 min 00 s");
+  assert.equal(duration(26 * 3600e9), "26 h 00 min");
+  assert.equal(duration(8759 * 3600e9), "364 d 23 h");
 });
 
 test("absolute times keep tenths of milliseconds", () => {
@@ -26,6 +31,9 @@ test("go to time accepts clock, seconds, units, ISO and nanoseconds", () => {
   assert.equal(parseTime("1:23.5", o), 83.5e9);
   assert.equal(parseTime("83.5", o), 83.5e9);
   assert.equal(parseTime("250 ms", o), 250e6);
+  for (const t of [26 * 3600e9, 400 * 86400e9 + 1e9]) assert.equal(parseTime(relative(t), o), t);
+  assert.equal(parseTime("-2d 1:00", o), -(2 * 86400e9 + 60e9));
+  assert.equal(parseTime("14d", o), 14 * 86400e9);
   assert.equal(parseTime("2026-01-01T00:00:01.25Z", o), 1.25e9);
   assert.equal(parseTime("1767225601000000000", o), 1e9);
   assert.equal(parseTime("yesterday", o), null);
@@ -36,6 +44,7 @@ test("ruler ticks are multiples of one readable unit", () => {
   const { unit, at } = ticks([0, 60e9], 1200, 80);
   assert.equal(unit, 5e9);
   assert.equal(at.length, 13);
+  assert.equal(ticks([0, 999], 1000, 80).unit, 100);
 });
 
 test("a copied time goes back to the very nanosecond", () => {

@@ -143,8 +143,22 @@ defmodule Situ.Studio.Figures do
 
   defp rate(%{rate: nil, count: 1}), do: "1"
   defp rate(%{rate: nil}), do: ""
-  defp rate(%{rate: hz}) when hz >= 1, do: "#{number(hz)}/s"
-  defp rate(%{rate: hz}), do: "#{number(hz * 60)}/min"
+  defp rate(%{rate: hz}), do: how_often(hz)
+
+  @doc """
+  So many a second in the unit that people would say it in.
+
+      iex> Enum.map([3.0e9, 48_000, 25, 0.5, 1 / 3600, 2 / 86_400], &Situ.Studio.Figures.how_often/1)
+      ["3.0 G/s", "48.0 k/s", "25.0/s", "30.0/min", "1.0/h", "2.0/d"]
+  """
+  @spec how_often(number()) :: String.t()
+  def how_often(hz) when hz >= 1.0e9, do: "#{number(hz / 1.0e9)} G/s"
+  def how_often(hz) when hz >= 1.0e6, do: "#{number(hz / 1.0e6)} M/s"
+  def how_often(hz) when hz >= 1.0e4, do: "#{number(hz / 1.0e3)} k/s"
+  def how_often(hz) when hz >= 1, do: "#{number(hz)}/s"
+  def how_often(hz) when hz >= 1 / 60, do: "#{number(hz * 60)}/min"
+  def how_often(hz) when hz >= 1 / 3600, do: "#{number(hz * 3600)}/h"
+  def how_often(hz), do: "#{number(hz * 86_400)}/d"
 
   defp often(%{rate: nil}, _, _), do: ""
   defp often(%{rate: hz}, seconds, unit), do: "#{number(hz * seconds)}/#{unit}"

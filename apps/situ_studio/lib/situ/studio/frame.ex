@@ -27,7 +27,7 @@ defmodule Situ.Studio.Frame do
   | 8..11 | bytes of payload |
   | 12..15 | rows |
   | 16..23 | base time, ns (signed) |
-  | 24..31 | kind's own: samples a second for sound; of segments the time of the newest message, after the base |
+  | 24..31 | kind's own: samples a second for sound; of segments the time of the newest message, after the base; of lines how many more there are |
 
   | kind | payload |
   |---|---|
@@ -87,9 +87,10 @@ defmodule Situ.Studio.Frame do
     frame(:series, channel, columns(points, base), length(points), base, flags(raw?, opts))
   end
 
-  @doc "Several signals of one stream, each with its name."
+  @doc "Several signals of one stream, each with its name; of `more` there is nothing."
   @spec lines(channel(), [{String.t(), [Bins.point() | Bins.gap()]}], boolean(),
-          sampled: boolean()
+          sampled: boolean(),
+          more: non_neg_integer()
         ) :: t()
   def lines(channel, lines, raw?, opts \\ []) do
     base = lines |> Enum.map(fn {_, points} -> first_time(points) end) |> Enum.min(fn -> 0 end)
@@ -101,7 +102,7 @@ defmodule Situ.Studio.Frame do
         [head, name, padding(rem(size, 8)), columns(points, base)]
       end
 
-    frame(:lines, channel, payload, length(lines), base, flags(raw?, opts))
+    frame(:lines, channel, payload, length(lines), base, flags(raw?, opts), opts[:more] || 0)
   end
 
   defp columns(points, base) do

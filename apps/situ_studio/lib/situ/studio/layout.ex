@@ -84,6 +84,8 @@ defmodule Situ.Studio.Layout do
   @weights %{plot: 4, lanes: 1, image: 9, space: 9, map: 8, value: 6, bars: 6, text: 3}
            |> Map.merge(%{log: 6, xy: 9, own: 8})
   @lane 26
+  # No lane is higher: a panel of a few leaves the rest to others.
+  @lane_most 36
   # More share the height of these.
   @max_lanes 12
 
@@ -230,9 +232,14 @@ defmodule Situ.Studio.Layout do
       "flex: 0 0 #{height(line, lanes)}px"
     else
       weight = line |> Enum.map(&@weights[&1.panel]) |> Enum.max()
-      "flex: #{weight} 0 #{height(line, lanes)}px"
+      "flex: #{weight} 0 #{height(line, lanes)}px#{most(line, lanes)}"
     end
   end
+
+  defp most([%Panel{panel: :lanes, vis: [_ | _] = vis}], lanes),
+    do: "; max-height: #{rows(vis, lanes) * @lane_most + 8}px"
+
+  defp most(_, _), do: ""
 
   @doc """
   The least height of a line in pixels. `lanes` tells how many lanes a stream has, by its name, where there is more
@@ -242,18 +249,21 @@ defmodule Situ.Studio.Layout do
       iex> [line] = Situ.Studio.Layout.lines(layout)
       iex> {Situ.Studio.Layout.height(line), Situ.Studio.Layout.height(line, %{"A" => 3})}
       {34, 86}
+      iex> Situ.Studio.Layout.style(line, %{"A" => 3})
+      "flex: 1 0 86px; max-height: 116px"
   """
   @spec height([Panel.t(), ...], %{optional(String.t()) => pos_integer()}) :: pos_integer()
   def height(line, lanes \\ %{})
 
   def height([%Panel{height: nil, panel: :lanes, vis: vis} | _], lanes) do
-    rows = vis |> Enum.map(&lanes_of(&1, lanes)) |> Enum.sum()
-    min(rows, @max_lanes) * @lane + 8
+    min(rows(vis, lanes), @max_lanes) * @lane + 8
   end
 
   def height(line, _lanes) do
     Enum.find_value(line, & &1.height) || line |> Enum.map(&@heights[&1.panel]) |> Enum.max()
   end
+
+  defp rows(vis, lanes), do: vis |> Enum.map(&lanes_of(&1, lanes)) |> Enum.sum()
 
   # Marks of messages are one lane, whatever is in them.
   defp lanes_of(%Vis{viz: "messages"}, _), do: 1

@@ -60,7 +60,7 @@ defmodule Situ.Studio.Thumbnail do
       from = max(stream.first || extent.from, extent.from)
       to = min(stream.last || extent.to, extent.to)
 
-      with {:ok, [_, _ | _] = points, _} <-
+      with {:ok, [_ | _] = points, _} <-
              Source.call(source, :series, [stream.name, from, to, max(div(to - from, @bins), 1)]),
            ends when ends != nil <- ends(points) do
         {:ok, "image/svg+xml", svg(points, ends, from, to)}
@@ -81,6 +81,10 @@ defmodule Situ.Studio.Thumbnail do
     x = fn t -> @width * (t - from) / max(to - from, 1) end
     y = fn v -> 4 + (@height - 8) * (1 - (v - low) / max(high - low, 1.0e-12)) end
     points = Enum.filter(points, fn {_, a, b, _, _} -> is_number(a) and is_number(b) end)
+    # a value that is alone, or does not change, holds on
+    points =
+      if match?([_], points), do: [hd(points), put_elem(hd(points), 0, to + 1)], else: points
+
     up = for {t, _, high, _, _} <- points, do: corner(x.(t), y.(high))
     down = for {t, low, _, _, _} <- Enum.reverse(points), do: corner(x.(t), y.(low))
 

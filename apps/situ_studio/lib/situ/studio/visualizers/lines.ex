@@ -38,31 +38,35 @@ defmodule Situ.Studio.Visualizers.Lines do
   defp summed(channel, tracks) do
     bins = for {key, {:numbers, bins}} <- tracks, key != nil, into: %{}, do: {key, bins}
     lines = for key <- Key.sort(Map.keys(bins)), do: {Key.text(key), bins[key]}
-    Frame.lines(channel, lines, false)
+    Frame.lines(channel, lines, false, more: map_size(bins) - length(lines))
   end
 
   defp of_messages(source, channel, spec, from, to, bin) do
     with {:ok, messages, all?} <- Messages.around(source, spec, from, to) do
-      folded =
-        for {name, points} <- of_maps(messages, spec.path),
-            do: {name, Bins.fold(points, bin, @points)}
+      keys = by_key(messages, spec.path)
+      named = named(keys)
+      folded = for {name, points} <- named, do: {name, Bins.fold(points, bin, @points)}
 
       raw? = Enum.all?(folded, fn {_, {_, raw?}} -> raw? end)
       lines = for {name, {points, _}} <- folded, do: {name, points}
-      Frame.lines(channel, lines, raw?, sampled: not all?)
+      more = map_size(keys) - length(named)
+      Frame.lines(channel, lines, raw?, sampled: not all?, more: more)
     end
   end
 
   @doc "A line for each key of the maps at `path`, by the keys' names."
   @spec of_maps([Situ.Message.t()], Path.t()) :: [{name :: String.t(), line()}]
-  def of_maps(messages, path) do
-    lines = Enum.reduce(messages, %{}, &add(&2, &1, path))
+  def of_maps(messages, path), do: messages |> by_key(path) |> named()
 
-    for key <- Key.sort(Map.keys(lines)),
-        line = Enum.reverse(lines[key]),
-        Enum.any?(line, &(not Bins.gap?(&1))),
-        do: {Key.text(key), line}
+  # Lines of numbers, newest first.
+  defp by_key(messages, path) do
+    messages
+    |> Enum.reduce(%{}, &add(&2, &1, path))
+    |> Map.filter(fn {_, line} -> Enum.any?(line, &(not Bins.gap?(&1))) end)
   end
+
+  defp named(lines),
+    do: for(key <- Key.sort(Map.keys(lines)), do: {Key.text(key), Enum.reverse(lines[key])})
 
   defp add(lines, %{data: data, originating_time: time}, path) do
     values =

@@ -31,4 +31,11 @@ defmodule Situ.Studio.Visualizers.LinesTest do
 
     assert <<5.0::little-float-64, ^nan::binary-8>> = binary_part(right, 48, 16)
   end
+
+  test "keys for which there is no line are counted", %{session: session} do
+    rows = for i <- 0..1, do: {1_100_000_000 + i, Map.new(1..40, &{"key#{&1}", i})}
+    put(session, "many", rows)
+
+    assert %{rows: 32, own: 8} = shown(session, "many", "lines", 1_000_000_000, 1_500_000_000)
+  end
 end
