@@ -107,35 +107,81 @@ defmodule Situ.Conformance.Interop do
   defp written(p, params, interval),
     do: Situ.from_enumerable(p, 0..(params["count"] - 1)//1, every: interval)
 
-  # A publisher and a subscriber, each a pipeline, over a socket of this machine.
+  # A publisher and its subscribers, each a pipeline, over a socket of this machine.
   defp zeromq(params, expect) do
     me = self()
-    opts = [topic: params["topic"], format: format(params["format"])]
-    values = Enum.map(params["values"], &value/1)
+    topics = topics(params)
 
     {:ok, sender} =
       Situ.Pipeline.start_link(fn p ->
-        p
-        |> Situ.from_enumerable(values, every: ms(1))
-        |> ZeroMQ.publish("tcp://127.0.0.1:0", [wait_for: 1, listening: me] ++ opts)
+        socket = ZeroMQ.publisher(p, "tcp://127.0.0.1:0")
+        opts = [wait_for: length(topics), listening: me]
+
+        for {topic, values, format} <- topics do
+          p
+          |> Situ.from_enumerable(values, every: ms(1))
+          |> ZeroMQ.publish(socket, [topic: topic, format: format] ++ opts)
+        end
       end)
 
-    address = receive(do: ({:listening, port} -> "tcp://127.0.0.1:#{port}"))
+    # Each stream tells where its socket listens: all the same.
+    [port | _] = for _ <- topics, do: receive(do: ({:listening, port} -> port))
+    address = "tcp://127.0.0.1:#{port}"
 
     {:ok, receiver} =
       Situ.Pipeline.start_link(fn p ->
-        p |> ZeroMQ.subscribe(address, opts) |> Situ.each(&send(me, {:got, &1}))
+        for {topic, _values, format} <- topics do
+          p
+          |> ZeroMQ.subscribe(address, topic: topic, format: format)
+          |> Situ.each(&send(me, {:got, topic, &1}))
+        end
       end)
 
-    got = for _ <- expect["values"], do: received()
+    got = for {topic, values, _} <- topics, do: {topic, for(_ <- values, do: received(topic))}
     Situ.Pipeline.stop(sender)
     Situ.Pipeline.stop(receiver)
-    verdict(Enum.map(expect["values"], &value/1), got)
+    compared(expect["values"] || expect["values_by_topic"], got)
   end
 
-  defp received do
+  # One topic, or several: `topics` are objects with values of their own, or names beside the values by name.
+  defp topics(%{"topics" => topics} = params) do
+    for {topic, i} <- Enum.with_index(topics) do
+      case topic do
+        %{"topic" => name, "values" => values} ->
+          {name, Enum.map(values, &value/1),
+           format(topic["format"] || params["format"] || "json")}
+
+        name ->
+          {name, params["values"] |> of_topic(name, i) |> Enum.map(&value/1),
+           format(params["format"] || "json")}
+      end
+    end
+  end
+
+  defp topics(params),
+    do: [
+      {params["topic"], Enum.map(params["values"], &value/1), format(params["format"] || "json")}
+    ]
+
+  defp of_topic(%{} = by_name, name, _i), do: Map.fetch!(by_name, name)
+  defp of_topic([first | _] = lists, _name, i) when is_list(first), do: Enum.at(lists, i)
+  defp of_topic(values, _name, _i), do: values
+
+  # In the form in which the case tells the values: of one topic, by their topics, or a list for each.
+  defp compared(%{} = values, got) do
+    want = Map.new(values, fn {topic, values} -> {topic, Enum.map(values, &value/1)} end)
+    verdict(want, Map.new(got))
+  end
+
+  defp compared([first | _] = lists, got) when is_list(first),
+    do: verdict(Enum.map(lists, &Enum.map(&1, fn v -> value(v) end)), Enum.map(got, &elem(&1, 1)))
+
+  defp compared(values, got),
+    do: verdict(Enum.map(values, &value/1), Enum.flat_map(got, &elem(&1, 1)))
+
+  defp received(topic) do
     receive do
-      {:got, value} -> value
+      {:got, ^topic, value} -> value
     after
       5_000 -> :nothing
     end
@@ -150,10 +196,16 @@ defmodule Situ.Conformance.Interop do
           do: :binary.copy(<<i + 1, i + 7>>, div(size, 2) + 1) |> binary_part(0, size)
 
     sets = for {payload, i} <- Enum.with_index(payloads, 1), do: Datagram.chunks(payload, i, most)
-    sent = sets |> lost(params["lost"]) |> arriving(params["arrival"])
+    sent = sets |> lost(params["lost"]) |> arriving(params["arrival"] || "in order")
+
+    # Interleaved sets are lost by a receiver with room for one, which is what the cases are of.
+    open =
+      if to_string(params["arrival"]) =~ "interleav",
+        do: [open: params["sets_at_once"] || 1],
+        else: []
 
     {got, state} =
-      Enum.reduce(sent, {[], Datagram.new()}, fn chunk, {got, state} ->
+      Enum.reduce(sent, {[], Datagram.new(open)}, fn chunk, {got, state} ->
         {payload, state} = Datagram.push(state, chunk)
         {got ++ [payload], state}
       end)
@@ -187,16 +239,23 @@ defmodule Situ.Conformance.Interop do
   defp place("last"), do: -1
   defp place(word), do: Enum.find_index(@ordinals, &(&1 == word))
 
-  defp arriving(sets, how) when how in [nil, "in order"], do: Enum.concat(sets)
+  defp arriving(sets, how) do
+    cond do
+      how =~ ~r/in order|sequential/ and not (how =~ ~r/out of|revers/) ->
+        Enum.concat(sets)
 
-  defp arriving(sets, how) when how in ["reversed", "reverse", "in reverse order"],
-    do: sets |> Enum.map(&Enum.reverse/1) |> Enum.concat()
+      how =~ ~r/revers|backward/ ->
+        sets |> Enum.map(&Enum.reverse/1) |> Enum.concat()
 
-  defp arriving(sets, how) when how in ["shuffled", "random", "out of order"] do
-    :rand.seed(:exsss, {1, 2, 3})
-    sets |> Enum.map(&Enum.shuffle/1) |> Enum.concat()
+      how =~ ~r/shuffl|scrambl|random|out of order/ ->
+        :rand.seed(:exsss, {1, 2, 3})
+        sets |> Enum.map(&Enum.shuffle/1) |> Enum.concat()
+
+      how =~ ~r/duplicat|twice/ ->
+        sets |> Enum.map(fn set -> Enum.flat_map(set, &[&1, &1]) end) |> Enum.concat()
+
+      how =~ ~r/interleav|alternat/ ->
+        sets |> Enum.zip() |> Enum.flat_map(&Tuple.to_list/1)
+    end
   end
-
-  defp arriving(sets, how) when how in ["duplicated", "twice"],
-    do: sets |> Enum.map(fn set -> Enum.flat_map(set, &[&1, &1]) end) |> Enum.concat()
 end

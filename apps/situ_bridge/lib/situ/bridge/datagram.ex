@@ -4,7 +4,8 @@ defmodule Situ.Bridge.Datagram do
 
   A chunk is `<<set::little-signed-64, count::little-16, number::little-16>>`, filled up with zeros to 40 bytes, then
   a part of the payload, as \\psi has it. Chunks may come in any order, twice, or not at all: a set that is not
-  complete when a later one is, or when #{16} later ones have begun, is abandoned and counted.
+  complete when a later one is, or when #{16} later ones have begun, is abandoned and counted. With `new(open: 1)`, as
+  \\psi's receiver does it, any chunk of another set abandons the one that is open.
 
       iex> alias Situ.Bridge.Datagram
       iex> [one, two] = Datagram.chunks("hello", 7, 43)
@@ -16,10 +17,9 @@ defmodule Situ.Bridge.Datagram do
   import Situ.Bits, only: [known: 1]
 
   @header 40
-  @open 16
   @most 0xFFFF
 
-  defstruct sets: %{}, started: 0, abandoned: 0, received: 0, done: nil
+  defstruct sets: %{}, started: 0, abandoned: 0, received: 0, done: nil, open: 16
 
   @type t :: %__MODULE__{}
 
@@ -47,9 +47,9 @@ defmodule Situ.Bridge.Datagram do
     [part | parts(rest, size)]
   end
 
-  @doc "Nothing received yet."
-  @spec new() :: t()
-  def new, do: %__MODULE__{}
+  @doc "Nothing received yet. `open:` is how many sets may be incomplete at once, 16 by default."
+  @spec new(keyword()) :: t()
+  def new(opts \\ []), do: struct!(__MODULE__, Keyword.validate!(opts, [:open]))
 
   @doc "One datagram: the payload that it completes, or `nil`. A datagram that is no chunk changes nothing."
   @spec push(t(), binary()) :: {binary() | nil, t()}
@@ -83,9 +83,11 @@ defmodule Situ.Bridge.Datagram do
   defp begin(state, set, count) do
     state = %{state | sets: Map.put(state.sets, set, {count, %{}}), started: state.started + 1}
 
-    if map_size(state.sets) > @open,
-      do: abandon(state, [Enum.min(Map.keys(state.sets))]),
-      else: state
+    cond do
+      map_size(state.sets) <= state.open -> state
+      state.open == 1 -> abandon(state, Map.keys(state.sets) -- [set])
+      true -> abandon(state, [Enum.min(Map.keys(state.sets))])
+    end
   end
 
   defp complete(state, set, count, parts) when map_size(parts) == count do

@@ -40,4 +40,17 @@ defmodule Situ.Bridge.DatagramTest do
       {if(payload, do: got ++ [payload], else: got), state}
     end)
   end
+
+  test "with room for one set, a chunk of another one abandons it" do
+    sets = for set <- 1..2, do: Datagram.chunks(:binary.copy("x", 30), set, 50)
+    interleaved = sets |> Enum.zip() |> Enum.flat_map(&Tuple.to_list/1)
+
+    {got, state} =
+      Enum.map_reduce(interleaved, Datagram.new(open: 1), fn chunk, state ->
+        Datagram.push(state, chunk)
+      end)
+      |> then(fn {got, state} -> {Enum.reject(got, &is_nil/1), state} end)
+
+    assert {got, state.started, state.abandoned} == {[], 6, 5}
+  end
 end
