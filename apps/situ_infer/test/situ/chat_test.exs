@@ -41,6 +41,16 @@ defmodule Situ.ChatTest do
              }
     end
 
+    test "what follows a question mark in the URL stays behind the path" do
+      server = Server.start(fn _, _ -> Server.stream(["Yes."]) end)
+      azure = %{server | url: server.url <> "/deployments/small?api-version=2024-10-21"}
+      assert {:ok, %{text: "Yes."}} = ask("Hi", azure)
+      assert_receive {:request, 1, %{first: first}}
+
+      assert first ==
+               "POST /v1/deployments/small/chat/completions?api-version=2024-10-21 HTTP/1.1"
+    end
+
     test "may show pictures" do
       server = Server.start(fn _, _ -> Server.stream(["A dot."]) end)
       picture = %Situ.EncodedImage{format: :png, data: <<1, 2, 3>>}
@@ -150,6 +160,11 @@ defmodule Situ.ChatTest do
       assert {:error, error} = ask("Hi", server, key: "SITU_TEST_KEY_A", key_header: :api_key)
       refute inspect(error) =~ "sk-very-secret"
       assert_receive {:request, 1, %{headers: %{"api-key" => "sk-very-secret"}}}
+      # Cut in the middle of the key.
+      long = String.duplicate("x", 290) <> "sk-very-secret"
+      server = Server.start(fn _, _ -> Server.refuse(400, long) end)
+      assert {:error, error} = ask("Hi", server, key: "SITU_TEST_KEY_A")
+      refute inspect(error) =~ "sk-v"
     end
 
     test "that are missing, broken, or would go in the open are errors" do
@@ -243,6 +258,14 @@ defmodule Situ.ChatTest do
 
       assert {:error, %{code: :refused}} =
                ask("Hi", Server.start(fn _, _ -> Server.refuse(404, "no such model") end))
+
+      moved = ["HTTP/1.1 308 Moved\r\nLocation: http://127.0.0.1:1/\r\nContent-Length: 0\r\n\r\n"]
+      assert {:error, %{code: :refused} = error} = ask("Hi", Server.start(fn _, _ -> moved end))
+      assert error.why =~ "not followed"
+
+      plain = ["HTTP/1.1 400 No\r\nContent-Type: text/plain\r\n\r\nno such model\n"]
+      assert {:error, %{code: :refused} = error} = ask("Hi", Server.start(fn _, _ -> plain end))
+      assert error.what =~ "no such model"
 
       assert {:error, %{code: :bad_question}} = ask(<<255>>, %{url: "http://127.0.0.1:1"})
     end

@@ -73,7 +73,8 @@ defmodule Situ.Examples.Words do
   @doc """
   The words of an utterance around a time, as if all were equally long.
 
-      iex> said = %Situ.Infer.Speech.Utterance{text: "One two three four five six seven.", from: 0, to: 700, confidence: 1.0}
+      iex> alias Situ.Infer.Speech.Utterance
+      iex> said = %Utterance{text: "One two three four five six seven.", from: 0, to: 700, confidence: 1.0}
       iex> {Situ.Examples.Words.words(said, 10), Situ.Examples.Words.words(said, 650)}
       {"One two three four", "five six seven."}
   """

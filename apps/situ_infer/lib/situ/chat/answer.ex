@@ -41,19 +41,20 @@ defmodule Situ.Chat.Answer do
           bytes: non_neg_integer(),
           count: non_neg_integer(),
           calls: %{non_neg_integer() => {String.t(), String.t(), iodata()}},
+          places: %{integer() => non_neg_integer()},
           finish: finish() | nil,
           usage: tokens() | nil
         }
 
   @doc "Nothing has come yet."
   @spec piece() :: piece()
-  def piece, do: %{text: [], bytes: 0, count: 0, calls: %{}, finish: nil, usage: nil}
+  def piece, do: %{text: [], bytes: 0, count: 0, calls: %{}, places: %{}, finish: nil, usage: nil}
 
   @doc "One event of the stream, or the whole of an answer that was not streamed: the text it adds."
   @spec fold(piece(), binary()) :: {:ok, [String.t()], piece()} | {:error, Error.t()}
   def fold(piece, json) do
     case Situ.JSON.decode(json) do
-      {:ok, %{"error" => error}} ->
+      {:ok, %{"error" => error}} when error not in [nil, false] ->
         {:error, Error.new(:service_failed, "the service failed: #{complaint(error)}")}
 
       {:ok, %{} = event} ->
@@ -72,7 +73,10 @@ defmodule Situ.Chat.Answer do
   def complaint(%{"message" => message}) when is_binary(message),
     do: String.slice(message, 0, 300)
 
-  def complaint(text) when is_binary(text), do: String.slice(text, 0, 300)
+  def complaint(%{"detail" => detail}), do: complaint(detail)
+  def complaint(%{"error" => error}), do: complaint(error)
+  def complaint([%{"msg" => message} | _]), do: complaint(message)
+  def complaint(text) when is_binary(text) and text != "", do: String.slice(text, 0, 300)
   def complaint(_), do: "no reason given"
 
   @doc "The answer, once its stream has ended."
@@ -116,17 +120,43 @@ defmodule Situ.Chat.Answer do
   defp part(%{"message" => %{} = said}), do: said
   defp part(_), do: %{}
 
-  # The parts of a call bear its number; id and name come with the first.
-  defp called({%{} = part, place}, piece) do
-    index = if is_integer(part["index"]), do: part["index"], else: place
+  # The parts of a call bear its number; id and name come with the first. Some services give every call the number 0,
+  # or none: then another id is another call. Some repeat id and name with every part.
+  defp called({%{} = part, nth}, piece) do
+    number = if is_integer(part["index"]), do: part["index"], else: nth
+    place = place(piece, number, text(part["id"]))
     function = if is_map(part["function"]), do: part["function"], else: %{}
-    {id, name, raw} = Map.get(piece.calls, index, {"", "", []})
+    {id, name, raw} = Map.get(piece.calls, place, {"", "", []})
     more = text(function["arguments"])
-    now = {id <> text(part["id"]), name <> text(function["name"]), [raw, more]}
-    %{piece | calls: Map.put(piece.calls, index, now), bytes: piece.bytes + byte_size(more) + 16}
+    now = {more(id, text(part["id"])), more(name, text(function["name"])), [raw, more]}
+
+    %{
+      piece
+      | calls: Map.put(piece.calls, place, now),
+        places: Map.put(piece.places, number, place),
+        bytes: piece.bytes + byte_size(more) + 16
+    }
   end
 
   defp called(_, piece), do: piece
+
+  # Places are in the order in which calls came.
+  defp place(%{places: places, calls: calls}, number, id) do
+    with place when place != nil <- places[number],
+         {known, _, _} when known == id or id == "" or known == "" <- calls[place] do
+      place
+    else
+      _ -> same(calls, id) || map_size(calls)
+    end
+  end
+
+  defp same(_calls, ""), do: nil
+
+  defp same(calls, id),
+    do: Enum.find_value(calls, fn {place, {known, _, _}} -> known == id && place end)
+
+  defp more(text, text), do: text
+  defp more(known, text), do: known <> text
 
   defp text(text) when is_binary(text), do: text
   defp text(_), do: ""

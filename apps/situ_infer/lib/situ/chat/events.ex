@@ -7,13 +7,21 @@ defmodule Situ.Chat.Events do
       iex> data
       ["one", "two"]
 
-  Lines end with LF or CRLF, as all servers of the protocol write them. An event of more than 1 MiB is an error.
+  Lines end with LF, CRLF or CR; a byte order mark in front of the first is none of it. An event of more than 1 MiB is
+  an error.
   """
   @most 1_048_576
 
-  defstruct line: "", data: [], size: 0
+  # A CR at the end of the bytes may be half of a CRLF: it ends the line, and an LF right after it is nothing.
+  defstruct line: "", data: [], size: 0, cr?: false, begun?: false
 
-  @type t :: %__MODULE__{line: binary(), data: [binary()], size: non_neg_integer()}
+  @type t :: %__MODULE__{
+          line: binary(),
+          data: [binary()],
+          size: non_neg_integer(),
+          cr?: boolean(),
+          begun?: boolean()
+        }
 
   @doc "Nothing has come."
   @spec new() :: t()
@@ -21,18 +29,29 @@ defmodule Situ.Chat.Events do
 
   @doc "The data of the events that `bytes` complete, in order."
   @spec push(t(), binary()) :: {:ok, [binary()], t()} | {:error, :too_long}
+  def push(%__MODULE__{cr?: true} = events, "\n" <> bytes),
+    do: push(%{events | cr?: false}, bytes)
+
+  def push(%__MODULE__{} = events, ""), do: {:ok, [], events}
+
   def push(%__MODULE__{} = events, bytes) do
-    [last | whole] = (events.line <> bytes) |> :binary.split("\n", [:global]) |> Enum.reverse()
+    lines = :binary.split(events.line <> bytes, ["\r\n", "\n", "\r"], [:global])
+    [last | whole] = Enum.reverse(lines)
     {found, events} = whole |> Enum.reverse() |> Enum.reduce({[], events}, &line/2)
-    events = %{events | line: last}
+    events = %{events | line: last, cr?: :binary.last(bytes) == ?\r}
 
     if byte_size(last) + events.size > @most,
       do: {:error, :too_long},
       else: {:ok, Enum.reverse(found), events}
   end
 
+  defp line("\uFEFF" <> text, {found, %{begun?: false} = events}),
+    do: line(text, {found, %{events | begun?: true}})
+
   defp line(text, {found, events}) do
-    case String.trim_trailing(text, "\r") do
+    events = %{events | begun?: true}
+
+    case text do
       "" when events.data == [] -> {found, events}
       "" -> {[joined(events) | found], %{events | data: [], size: 0}}
       "data: " <> data -> {found, add(events, data)}

@@ -118,10 +118,14 @@ defmodule Situ.Chat.Reply do
   defp partly(error, reply),
     do: %{error | meta: Map.put(error.meta, :text, IO.iodata_to_binary(reply.piece.text))}
 
+  # Pages are not for people who read errors.
   defp complaint(body) do
     case Situ.JSON.decode(body) do
-      {:ok, %{"error" => error}} -> Answer.complaint(error)
-      _ -> Answer.complaint(nil)
+      {:ok, json} ->
+        Answer.complaint(json)
+
+      _ ->
+        if(String.valid?(body) and not (body =~ "<"), do: String.trim(body)) |> Answer.complaint()
     end
   end
 
@@ -129,6 +133,13 @@ defmodule Situ.Chat.Reply do
     # A service's words about a key may hold the key.
     Error.new(:refused, "the service refused the key (HTTP #{status})",
       fix: "set the variable that key: names to a key which may use this model"
+    )
+  end
+
+  defp refused(status, _complaint) when status in [301, 302, 303, 307, 308] do
+    Error.new(:refused, "the service is somewhere else (HTTP #{status})",
+      why: "redirections are not followed: the question and the key go only where url: says",
+      fix: "set url: to the new address (https:// instead of http://, perhaps)"
     )
   end
 

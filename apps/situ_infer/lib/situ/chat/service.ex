@@ -3,7 +3,8 @@ defmodule Situ.Chat.Service do
     url: [
       type: :string,
       default: "http://127.0.0.1:11434/v1",
-      doc: "Where the service is; `/chat/completions` follows."
+      doc:
+        "Where the service is; `/chat/completions` follows its path (and `?api-version=...` stays behind that)."
     ],
     model: [type: :string, required: true, doc: "Which model is to answer."],
     key: [
@@ -94,10 +95,7 @@ defmodule Situ.Chat.Service do
   # A service may repeat what it was sent.
   defp hide(error, []), do: error
 
-  defp hide(error, [{_, key}]) do
-    key = String.replace_prefix(key, "Bearer ", "")
-    %{error | what: String.replace(error.what, key, "***")}
-  end
+  defp hide(error, [{_, key}]), do: Service.hide(error, String.replace_prefix(key, "Bearer ", ""))
 
   defp key(%{key: nil}), do: {:ok, []}
 
@@ -139,7 +137,7 @@ defmodule Situ.Chat.Service do
 
   defp once(opts, headers, body, say) do
     limits = Keyword.new(Map.take(opts, Keyword.keys(Http.schema())))
-    url = String.trim_trailing(opts.url, "/") <> "/chat/completions"
+    url = Service.join(opts.url, "/chat/completions")
 
     take = fn event, reply ->
       {how, texts, reply} = Reply.take(reply, event)

@@ -105,6 +105,36 @@ defmodule Situ.Infer.Service do
     end
   end
 
+  @doc """
+  An error in which a key is not to be read, should the service have repeated it; nor its beginning, where the text was
+  cut there.
+
+      iex> error = Situ.Error.new(:refused, "sk-123 is wrong, not sk-1")
+      iex> Situ.Infer.Service.hide(error, "sk-123").what
+      "*** is wrong, not ***"
+  """
+  @spec hide(Error.t(), String.t()) :: Error.t()
+  def hide(error, key) do
+    what = String.replace(error.what, key, "***")
+    cut = Enum.find(byte_size(key)..4//-1, &String.ends_with?(what, binary_part(key, 0, &1)))
+    what = if cut, do: binary_part(what, 0, byte_size(what) - cut) <> "***", else: what
+    %{error | what: what}
+  end
+
+  @doc """
+  A URL with a path behind its own, before what follows a question mark.
+
+      iex> Situ.Infer.Service.join("https://models.example/openai/gpt/?api-version=1", "/chat/completions")
+      "https://models.example/openai/gpt/chat/completions?api-version=1"
+  """
+  @spec join(String.t(), String.t()) :: String.t()
+  def join(url, path) do
+    case String.split(url, "?", parts: 2) do
+      [url] -> String.trim_trailing(url, "/") <> path
+      [url, query] -> String.trim_trailing(url, "/") <> path <> "?" <> query
+    end
+  end
+
   @doc "How long to wait before the next try, ms: half of it at random, so that many do not come back together."
   @spec pause(pos_integer(), non_neg_integer()) :: pos_integer()
   def pause(backoff, tries) do
@@ -122,7 +152,7 @@ defmodule Situ.Infer.Service do
       {:ok, key, own} ->
         with {:error, error} <- attempt(service, path, own ++ headers, body, 0),
              # A service may repeat what it was sent.
-             do: {:error, %{error | what: String.replace(error.what, key, "***")}}
+             do: {:error, hide(error, key)}
 
       error ->
         error

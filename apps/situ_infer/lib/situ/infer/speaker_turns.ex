@@ -17,8 +17,8 @@ defmodule Situ.Infer.SpeakerTurns do
   Cuts speech where another face takes over without a pause, so that an utterance is one person's.
 
   Input `:heard` is `{speaking?, voice}`, both as `Situ.Infer.VoiceActivity` says, `:who` which faces speak
-  (`Situ.Infer.who_speaks/3`). Output `:out` is `speaking?` again, with a `false` in the likeliest moment near each change
-  of the speaker: the voice is hardly one there, or is quiet. `Situ.Infer.turns/2` joins what it needs:
+  (`Situ.Infer.who_speaks/3`). Output `:out` is `speaking?` again, with a `false` in the likeliest moment near each
+  change of the speaker: the voice is hardly one there, or is quiet. `Situ.Infer.turns/2` joins what it needs:
 
       hear = Situ.via(sound, Situ.Infer.VoiceActivity)
       who = Situ.Infer.who_speaks(mouths, hear.voice)
@@ -40,7 +40,8 @@ defmodule Situ.Infer.SpeakerTurns do
 
   alias Situ.Infer.Voice
 
-  # Lips tell of a change up to so long after it, and so long before it. That nobody's lips move any more is known later.
+  # Lips tell of a change up to so long after it, and so long before it. That nobody's lips move any more is known
+  # later.
   @late 700_000_000
   @soon 300_000_000
   @later 1_200_000_000

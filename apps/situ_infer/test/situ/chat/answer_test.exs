@@ -36,9 +36,42 @@ defmodule Situ.Chat.AnswerTest do
     assert {answer.finish, answer.tokens, answer.exact?} == {:calls, %{read: 7, written: 9}, true}
   end
 
+  test "services that number calls badly, or repeat their names, are understood" do
+    part = fn id, name, arguments -> %{id: id, function: %{name: name, arguments: arguments}} end
+
+    for number <- [&call(0, &1), &%{choices: [%{delta: %{tool_calls: [&1]}}]}] do
+      answer =
+        [
+          number.(part.("a", "timer", ~s({"minutes"))),
+          number.(part.("a", "timer", ": 5}")),
+          number.(part.("b", "time", "{")),
+          number.(%{function: %{arguments: "}"}})
+        ]
+        |> fold()
+        |> Answer.whole()
+
+      assert [
+               %{id: "a", name: "timer", arguments: %{"minutes" => 5}},
+               %{id: "b", name: "time", arguments: %{}}
+             ] = answer.calls
+    end
+  end
+
   test "an answer that was not streamed is one, too" do
     piece = fold([%{choices: [%{message: %{content: "Yes."}, finish_reason: "length"}]}])
     assert %{text: "Yes.", finish: :length, exact?: false} = Answer.whole(piece)
+  end
+
+  test "an error that is none is none, and services complain in several ways" do
+    event = ~s({"error": null, "choices": [{"delta": {"content": "Yes."}}]})
+    assert {:ok, ["Yes."], _} = Answer.fold(Answer.piece(), event)
+
+    for said <- [
+          %{"message" => "full"},
+          %{"detail" => [%{"msg" => "full"}]},
+          %{"error" => %{"message" => "full"}}
+        ],
+        do: assert(Answer.complaint(said) == "full")
   end
 
   test "errors in the stream, text that is no JSON, answers without end" do

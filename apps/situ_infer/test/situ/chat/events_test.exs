@@ -16,9 +16,10 @@ defmodule Situ.Chat.EventsTest do
   property "the same whatever the pieces it comes in" do
     letters = one_of([97, 233, 10, 32, 58])
 
-    forall {texts, crlf?, size} <- {list(list(letters)), boolean(), integer(1, 7)} do
+    forall {texts, line, size} <-
+             {list(list(letters)), one_of(Enum.map(["\r\n", "\n", "\r"], &constant/1)),
+              integer(1, 7)} do
       texts = texts |> Enum.map(&List.to_string/1) |> Enum.reject(&(&1 == ""))
-      line = if crlf?, do: "\r\n", else: "\n"
 
       bytes =
         for text <- texts, into: "" do
@@ -29,7 +30,7 @@ defmodule Situ.Chat.EventsTest do
         for i <- 0..byte_size(bytes)//size,
             do: binary_part(bytes, i, min(size, byte_size(bytes) - i))
 
-      all([bytes]) == texts and all(parts) == texts
+      all([bytes]) == texts and all(parts) == texts and all(["\uFEFF" <> bytes]) == texts
     end
   end
 
