@@ -53,7 +53,7 @@ defmodule Situ.Chat.Answer do
   @doc "One event of the stream, or the whole of an answer that was not streamed: the text it adds."
   @spec fold(piece(), binary()) :: {:ok, [String.t()], piece()} | {:error, Error.t()}
   def fold(piece, json) do
-    case Situ.JSON.decode(json) do
+    case decode(json) do
       {:ok, %{"error" => error}} when error not in [nil, false] ->
         {:error, Error.new(:service_failed, "the service failed: #{complaint(error)}")}
 
@@ -66,6 +66,17 @@ defmodule Situ.Chat.Answer do
            fix: "check that the URL is that of an OpenAI-compatible service"
          )}
     end
+  end
+
+  # Services that cut text between the halves of a character (in UTF-16) send escapes that stand for none.
+  defp decode(json) do
+    with {:error, _} <- Situ.JSON.decode(json),
+         do: half() |> Regex.replace(json, "\\\\ufffd") |> Situ.JSON.decode()
+  end
+
+  defp half do
+    ~r/\\u[dD][89abAB][[:xdigit:]]{2}  (?! \\u[dD][c-fC-F] ) |
+       (?<! \\u[dD][89abAB][[:xdigit:]]{2} )  \\u[dD][c-fC-F][[:xdigit:]]{2}/x
   end
 
   @doc "A service's error text, short enough for a message."

@@ -57,6 +57,13 @@ defmodule Situ.Chat.AnswerTest do
     end
   end
 
+  test "a character that was cut in half is a mark, not the end of the answer" do
+    event = fn text -> ~s({"choices": [{"delta": {"content": "#{text}"}}]}) end
+    assert {:ok, ["a\uFFFD"], _} = Answer.fold(Answer.piece(), event.("a\\ud83d"))
+    assert {:ok, ["\uFFFDb"], _} = Answer.fold(Answer.piece(), event.("\\ude00b"))
+    assert {:ok, ["😀\uFFFD"], _} = Answer.fold(Answer.piece(), event.("\\ud83d\\ude00\\ud83d"))
+  end
+
   test "an answer that was not streamed is one, too" do
     piece = fold([%{choices: [%{message: %{content: "Yes."}, finish_reason: "length"}]}])
     assert %{text: "Yes.", finish: :length, exact?: false} = Answer.whole(piece)
