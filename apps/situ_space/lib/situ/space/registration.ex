@@ -43,8 +43,8 @@ defmodule Situ.Space.Registration do
   end
 
   @doc """
-  Where in space (the frame of the poses) lies what a pixel of the other camera shows, as far as the depth camera saw it;
-  `nil` where it did not. Options as of `Situ.Space.Depth.intersection/3`: the answer is good to one `step`.
+  Where in space (the frame of the poses) lies what a pixel of the other camera shows, as far as the depth camera saw
+  it; `nil` where it did not. Options as of `Situ.Space.Depth.intersection/3`: the answer is good to one `step`.
   """
   @spec point(CameraView.t(DepthImage.t()), CameraView.t(), Camera.pixel(), keyword()) ::
           Vector3.t() | nil

@@ -1,6 +1,6 @@
 defmodule Situ.Space.View do
   @moduledoc """
-  What a camera saw (`Situ.CameraView`), with its picture made smaller, cut, converted, encoded or decoded. The
+  Views of a camera (`Situ.CameraView`), with their picture made smaller, cut, converted, encoded or decoded. The
   intrinsics change with the picture's size, so that pixels of the new one still show where they showed.
 
       iex> camera = Situ.CameraIntrinsics.new!(width: 64, height: 48, focal: {50, 50})
@@ -76,8 +76,8 @@ defmodule Situ.Space.View do
   def convert(view, _format), do: no_pixels(view)
 
   @doc """
-  The view with its picture as JPEG (`quality:`, 90), or as PNG with `format: :png`; depth always as PNG. What depth
-  measures, and in which unit, is not in a PNG: tell it to `decode/2`.
+  The view with its picture as JPEG (`quality:`, 90), or as PNG with `format: :png`; depth always as PNG. A PNG does not
+  say in which unit depth is, and what it measures: tell it to `decode/2`.
   """
   @spec encode(CameraView.t(), keyword()) :: result()
   def encode(view, opts \\ [])

@@ -10,7 +10,10 @@ let drawing = null;
 const load = () => (drawing ??= import(new URL("space.js", HERE).href));
 
 // The properties that change what the server sends.
-const ASKED = ["depth_as", "budget", "axis", "ray", "threshold", "seconds"];
+const ASKED = [
+  ...["depth_as", "sparsity", "focal", "budget", "axis", "ray", "threshold", "seconds"],
+  ...["text_as", "text_height"],
+];
 
 // The viewer rests when nothing has moved for so long, ms.
 const REST = 250;

@@ -7,8 +7,8 @@ const GROUND = new Plane(new Vector3(0, 0, 1), 0);
 const MOST = 3_000_000;
 
 export class Pointer {
-  constructor(canvas, camera) {
-    Object.assign(this, { canvas, camera, caster: new Raycaster() });
+  constructor(canvas, view) {
+    Object.assign(this, { canvas, view, camera: view.camera, caster: new Raycaster() });
   }
 
   aim(x, y) {
@@ -42,7 +42,8 @@ export class Pointer {
   // A few pixels of the screen, at the distance of what is looked at.
   reach(item) {
     const metres = (2 * Math.tan((this.camera.fov * Math.PI) / 360)) / this.canvas.clientHeight;
-    const far = this.camera.position.length() || 1;
+    const { flying, reach, orbit } = this.view;
+    const far = (flying ? (reach ?? 3) : this.camera.position.distanceTo(orbit.target)) || 1;
     const pixels = item.kind === "points" ? 4 : 3;
     this.caster.params.Points.threshold = Math.max(metres * pixels * far, 0.002);
     this.caster.params.Line.threshold = Math.max(metres * pixels * far, 0.002);

@@ -30,7 +30,7 @@ class Stage {
     Object.assign(this, { canvas, changed, pointed, theme });
     this.scene = new Scene();
     this.view = new Viewpoint(canvas, changed);
-    this.pointer = new Pointer(canvas, this.view.camera);
+    this.pointer = new Pointer(canvas, this.view);
     this.layers = new Map();
     this.trees = new Map();
     this.on = new Set();

@@ -12,6 +12,8 @@ const MOVES = {
   q: [0, 0, -1],
 };
 const UP = new Vector3(0, 0, 1);
+// From where one looks first: behind, to the right, above.
+const FROM = new Vector3(-0.72, -0.45, 0.53).normalize();
 
 export class Viewpoint {
   constructor(canvas, changed) {
@@ -24,6 +26,7 @@ export class Viewpoint {
     this.orbit.target.set(2, 0, 1);
     this.orbit.addEventListener("change", () => {
       this.moved = true;
+      this.clip();
       changed();
     });
     this.orbit.update();
@@ -50,6 +53,7 @@ export class Viewpoint {
     this.flying = on;
     const way = this.way();
     const reach = on ? 0.05 : (this.reach ?? 3);
+    // in a valley faster than in a room
     if (on) this.reach = this.camera.position.distanceTo(this.orbit.target);
     this.orbit.target.copy(this.camera.position).addScaledVector(way, reach);
     this.orbit.enableZoom = !on;
@@ -76,7 +80,7 @@ export class Viewpoint {
       const [x, y, z] = MOVES[k];
       by.addScaledVector(ahead, x).addScaledVector(left, y).addScaledVector(UP, z);
     }
-    this.shift(by.multiplyScalar(2.5 * seconds));
+    this.shift(by.multiplyScalar(Math.max(2.5, (this.reach ?? 0) / 3) * seconds));
     return true;
   }
 
@@ -88,15 +92,34 @@ export class Viewpoint {
 
   fit(places) {
     const box = new Box3();
-    for (const v of places) box.expandByPoint(v);
+    const all = [];
+    for (const v of places) {
+      box.expandByPoint(v);
+      all.push(v.clone());
+    }
     if (box.isEmpty()) return false;
     const middle = box.getCenter(new Vector3());
-    const radius = Math.max(box.getSize(new Vector3()).length() / 2, 0.2);
-    const distance = radius / Math.sin((this.camera.fov * Math.PI) / 360) / Math.min(1, this.camera.aspect);
-    this.camera.position.copy(middle).addScaledVector(new Vector3(-0.72, -0.45, 0.53).normalize(), distance);
+    const distance = Math.max(this.distance(all, middle), 0.8);
+    this.camera.position.copy(middle).addScaledVector(FROM, distance);
     this.reframe(middle, distance);
     this.moved = false;
     return true;
+  }
+
+  // How far from `middle` one has to be to see all places, and a little around them.
+  distance(places, middle) {
+    const right = new Vector3().crossVectors(UP, FROM).normalize();
+    const up = new Vector3().crossVectors(FROM, right);
+    const high = Math.tan((this.camera.fov * Math.PI) / 360) / 1.12;
+    const wide = high * this.camera.aspect;
+    const off = new Vector3();
+    let most = 0;
+    for (const v of places) {
+      off.subVectors(v, middle);
+      const needs = Math.max(Math.abs(off.dot(right)) / wide, Math.abs(off.dot(up)) / high);
+      most = Math.max(most, needs + off.dot(FROM));
+    }
+    return most;
   }
 
   top() {
@@ -116,10 +139,19 @@ export class Viewpoint {
 
   reframe(target, distance) {
     this.orbit.target.copy(target);
-    this.camera.near = Math.max(distance / 500, 0.005);
-    this.camera.far = Math.max(distance * 40, 200);
-    this.camera.updateProjectionMatrix();
+    this.around = { target: target.clone(), distance };
     this.orbit.update();
+    this.clip();
+  }
+
+  // Nothing nearer or farther is drawn: as near as one looks, as far as one was when one saw everything.
+  clip() {
+    const { position } = this.camera;
+    const looks = this.flying ? 1 : position.distanceTo(this.orbit.target);
+    const away = this.around ? position.distanceTo(this.around.target) + 2 * this.around.distance : 0;
+    this.camera.near = Math.max(looks / 500, 0.005);
+    this.camera.far = Math.max(looks * 40, away, 200);
+    this.camera.updateProjectionMatrix();
   }
 
   size(width, height) {

@@ -112,7 +112,7 @@ export function graphs(item, props) {
     lambert(sure ? "#ffffff" : props.color, props),
     count,
     (i, m) => {
-      if (item.bad?.has(i)) m.makeScale(0, 0, 0);
+      if (item.bad?.has(i) || confidence?.[i] === 0) m.makeScale(0, 0, 0);
       else m.makeScale(radius, radius, radius).setPosition(at(position, i));
     },
     sure,
@@ -120,7 +120,12 @@ export function graphs(item, props) {
   group.add(nodes);
   const edges = edge.length / 2;
   if (edges) {
-    const place = (i, m) => along(at(position, edge[2 * i]), at(position, edge[2 * i + 1]), radius * 0.6, m);
+    // of a joint that is not known at all nothing is drawn
+    const known = (i) => confidence?.[edge[2 * i]] !== 0 && confidence?.[edge[2 * i + 1]] !== 0;
+    const place = (i, m) =>
+      known(i)
+        ? along(at(position, edge[2 * i]), at(position, edge[2 * i + 1]), radius * 0.6, m)
+        : m.makeScale(0, 0, 0);
     group.add(instances(new CylinderGeometry(1, 1, 1, 8), lambert(props.color, props), edges, place));
   }
   const named = (i, object) => (object === nodes ? (item.names?.[i] ?? "node") : `between ${ends(item, i)}`);
@@ -157,7 +162,11 @@ export function voxels(item, props) {
   const { position, count, size } = item;
   const mode = modeOf(item, props);
   const span = mode === "one" ? null : spanOf(item, mode, props);
-  const valued = (i) => (mode === "value" ? item.value[i] : position[3 * i + { x: 0, y: 1, z: 2 }[mode]]);
+  const axis = { x: 0, y: 1, z: 2 }[mode];
+  const valued = (i) => {
+    if (mode === "value") return item.value[i];
+    return mode === "distance" ? at(position, i).length() : position[3 * i + axis];
+  };
   const color = span && ((i) => rampColor(valued(i), span));
   const place = (i, m) => m.makeScale(size, size, size).setPosition(at(position, i));
   const object = instances(

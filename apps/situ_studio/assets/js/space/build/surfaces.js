@@ -16,6 +16,7 @@ import {
   SRGBColorSpace,
   Texture,
 } from "three";
+import { written } from "./texts.js";
 import { bitmap } from "../../visualizers/pixels.js";
 import { look } from "../../visualizers/depth_colors.js";
 
@@ -63,7 +64,11 @@ export function quads(item, props, _pixels, changed) {
   const material = new MeshBasicMaterial({ ...basic, color: item.picture ? "#ffffff" : props.color });
   if (item.picture) {
     material.visible = false;
-    show(item, material, changed);
+    show(item, material, props, changed);
+  } else if (item.text) {
+    const { texture } = written(item.text, props.color, aspect(rows[0]));
+    Object.assign(material, { map: texture, transparent: true });
+    material.color.set("#ffffff");
   }
   for (const corners of rows) {
     const geometry = new BufferGeometry();
@@ -73,15 +78,25 @@ export function quads(item, props, _pixels, changed) {
     group.add(new Mesh(geometry, material));
     const border = new BufferGeometry();
     border.setAttribute("position", new BufferAttribute(corners, 3));
+    if (item.text) continue;
     group.add(new LineLoop(border, new LineBasicMaterial({ color: item.picture ? "#c8ccd2" : props.color })));
   }
   return { object: group, name: (i) => item.names?.[i] ?? item.names?.[0] ?? "surface" };
 }
 
-async function show(item, material, changed) {
+// How much wider than high a surface is.
+function aspect([ax, ay, az, bx, by, bz, cx, cy, cz]) {
+  const high = Math.hypot(cx - bx, cy - by, cz - bz);
+  return high > 0 ? Math.hypot(bx - ax, by - ay, bz - az) / high : 1;
+}
+
+async function show(item, material, props, changed) {
   const { pixels, width, height, unit } = item.picture;
   try {
-    const { image } = await bitmap({ pixels, width, height, unit, data: item.bytes }, pixels === 5 ? look({}) : null);
+    const { image } = await bitmap(
+      { pixels, width, height, unit, data: item.bytes },
+      pixels === 5 ? look({ ...props, range: props.depth_range }) : null,
+    );
     const upright = await createImageBitmap(image, { imageOrientation: "flipY" });
     image.close();
     if (material.gone) return upright.close();

@@ -21,6 +21,29 @@ export function texts(item, props) {
   return { object: group, name: (i) => item.names[i] };
 }
 
+// A text in a colour on nothing, as wide as it is asked to be for its height.
+export function written(text, color, aspect) {
+  const canvas = document.createElement("canvas");
+  const ctx = canvas.getContext("2d");
+  canvas.height = 2 * PIXELS;
+  canvas.width = Math.max(1, Math.min(Math.round(canvas.height * aspect), 4096));
+  const font = (size) => (ctx.font = `${size}px ${FONT_FACE}`);
+  font(canvas.height * 0.8);
+  const room = canvas.width / Math.max(ctx.measureText(text).width, 1);
+  if (room < 1) font(canvas.height * 0.8 * room);
+  Object.assign(ctx, { textBaseline: "middle", textAlign: "center", fillStyle: color });
+  ctx.fillText(text, canvas.width / 2, canvas.height / 2);
+  return { texture: textureOf(canvas), aspect };
+}
+
+function textureOf(canvas) {
+  const texture = new CanvasTexture(canvas);
+  texture.colorSpace = SRGBColorSpace;
+  texture.minFilter = LinearFilter;
+  texture.generateMipmaps = false;
+  return texture;
+}
+
 function sign(text, color) {
   const canvas = document.createElement("canvas");
   const ctx = canvas.getContext("2d");
@@ -34,9 +57,5 @@ function sign(text, color) {
   ctx.fillRect(0, 0, canvas.width, PIXELS);
   ctx.fillStyle = ink(color);
   ctx.fillText(text, PIXELS * 0.25, PIXELS / 2);
-  const texture = new CanvasTexture(canvas);
-  texture.colorSpace = SRGBColorSpace;
-  texture.minFilter = LinearFilter;
-  texture.generateMipmaps = false;
-  return { texture, aspect: canvas.width / PIXELS };
+  return { texture: textureOf(canvas), aspect: canvas.width / PIXELS };
 }

@@ -4,7 +4,14 @@ defmodule Situ.Studio.Scene.Gathered do
   alias Situ.{Box3, Pose, Quaternion, Skeleton}
   alias Situ.Studio.Scene
 
-  defstruct left: 0, items: [], nodes: [], arrows: [], boxes: [], texts: [], problems: []
+  defstruct left: 0,
+            items: [],
+            nodes: [],
+            arrows: [],
+            lines: [],
+            boxes: [],
+            texts: [],
+            problems: []
 
   @type t :: %__MODULE__{}
 
@@ -26,6 +33,10 @@ defmodule Situ.Studio.Scene.Gathered do
   @spec arrow(t(), tuple(), tuple(), tuple() | nil, String.t()) :: t()
   def arrow(g, from, to, color, name),
     do: %{g | arrows: [{from, to, color, name} | g.arrows], left: g.left - 1}
+
+  @spec line(t(), tuple(), tuple(), String.t()) :: t()
+  def line(g, from, to, name),
+    do: %{g | lines: [{from, to, nil, name} | g.lines], left: g.left - 1}
 
   @spec text(t(), tuple(), String.t() | nil) :: t()
   def text(g, _at, nil), do: g
@@ -84,7 +95,8 @@ defmodule Situ.Studio.Scene.Gathered do
   def items(g) do
     small =
       nodes(Enum.reverse(g.nodes)) ++
-        arrows(Enum.reverse(g.arrows)) ++ boxes(Enum.reverse(g.boxes))
+        lines(Enum.reverse(g.arrows), true) ++
+        lines(Enum.reverse(g.lines), false) ++ boxes(Enum.reverse(g.boxes))
 
     {Enum.reverse(g.items) ++ small ++ texts(Enum.reverse(g.texts)),
      g.problems |> Enum.reverse() |> Enum.uniq()}
@@ -98,11 +110,11 @@ defmodule Situ.Studio.Scene.Gathered do
     [Scene.item(:graphs, length(nodes), numbers, %{"names" => names(nodes), "edges" => 0})]
   end
 
-  defp arrows([]), do: []
+  defp lines([], _arrow), do: []
 
   # Those with colours of their own and those in the layer's are two items.
-  defp arrows(arrows) do
-    {plain, colored} = Enum.split_with(arrows, fn {_, _, color, _} -> color == nil end)
+  defp lines(lines, arrow) do
+    {plain, colored} = Enum.split_with(lines, fn {_, _, color, _} -> color == nil end)
 
     for group <- [plain, colored], group != [] do
       position = Enum.flat_map(group, fn {a, b, _, _} -> Tuple.to_list(a) ++ Tuple.to_list(b) end)
@@ -111,7 +123,7 @@ defmodule Situ.Studio.Scene.Gathered do
       numbers =
         [position: Scene.floats(position)] ++ if(color == <<>>, do: [], else: [color: color])
 
-      meta = %{"arrow" => true, "names" => Enum.map(group, &elem(&1, 3))}
+      meta = %{"arrow" => arrow, "names" => Enum.map(group, &elem(&1, 3))}
       Scene.item(:lines, length(group), numbers, meta)
     end
   end

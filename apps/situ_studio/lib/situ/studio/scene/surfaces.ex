@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Scene.Surfaces do
   @moduledoc false
   # Clouds, meshes, voxels and flat surfaces as items.
-  alias Situ.{Mesh, Plane, PointCloud, Pose, Vector3, VoxelGrid}
+  alias Situ.{Mesh, Plane, PointCloud, Pose, Rectangle3, Vector3, VoxelGrid}
   alias Situ.Space.Cloud
   alias Situ.Studio.Draw.Picture
   alias Situ.Studio.{Frame, Scene}
@@ -103,6 +103,18 @@ defmodule Situ.Studio.Scene.Surfaces do
             |> Vector3.add(Vector3.scale(up, u * 1.0))
 
     plain(corners, name)
+  end
+
+  @doc "A text on a rectangle, or of a height around a pose, read against the normal (the x axis)."
+  @spec text(String.t(), Pose.t() | Rectangle3.t(), number()) :: Scene.item()
+  def text(text, %Pose{} = pose, height) do
+    width = max(String.length(text), 1) * height * 0.6
+    text(text, Rectangle3.new!(pose, width, height), height)
+  end
+
+  def text(text, %Rectangle3{} = rectangle, _height) do
+    text = String.slice(text, 0, 200)
+    quad(Rectangle3.corners(rectangle), %{"names" => [text], "text" => text}, [])
   end
 
   @spec picture(struct(), [Vector3.t()], map()) :: result()

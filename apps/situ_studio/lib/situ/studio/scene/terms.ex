@@ -12,21 +12,24 @@ defmodule Situ.Studio.Scene.Terms do
       iex> Terms.any?([1, 2, 3])
       false
   """
-  alias Situ.{Box3, CameraIntrinsics, CameraView, DepthImage, EncodedImage, Image, Mesh, Plane}
-  alias Situ.{Point3, PointCloud, Pose, Ray3, Rectangle3, Skeleton, Vector3, Velocity3, VoxelGrid}
+  alias Situ.{Box3, CameraIntrinsics, CameraView, DepthImage, EncodedImage, Image, Line3, Mesh}
+  alias Situ.{Plane, Point3, PointCloud, Pose, PoseVelocity, Ray3, Rectangle3, Skeleton, Vector3}
+  alias Situ.{Velocity3, VoxelGrid}
   alias Situ.Studio.Scene
   alias Situ.Studio.Scene.{Gathered, Surfaces, Views}
 
   @limit 20_000
   @depth 8
-  @shapes [Box3, CameraView, Mesh, Plane, Point3, PointCloud, Pose, Ray3, Rectangle3, Skeleton] ++
-            [Velocity3, VoxelGrid]
+  @shapes [Box3, CameraView, Line3, Mesh, Plane, Point3, PointCloud, Pose, PoseVelocity, Ray3] ++
+            [Rectangle3, Skeleton, Velocity3, VoxelGrid]
   @pictures [Image, EncodedImage, DepthImage]
 
   @typedoc """
   `budget` is how many points a cloud may have; `within`, where it is not `nil`, the planes around the part of the
-  clouds that is wanted, and nothing else is (`Situ.Space.Cloud.within/3`); `depth_as` how depth is shown, `axis` the
-  length of a pose's axes and `ray` that of a ray (metres), `threshold` above which voxels are shown.
+  clouds that is wanted, and nothing else is (`Situ.Space.Cloud.within/3`); `depth_as` how depth is shown, of every
+  `sparsity`-th pixel; `focal` the focal length (pixels) of pictures without a lens; `axis` the length of a pose's axes
+  and `ray` that of a ray (metres), `threshold` above which voxels are shown; `text` the height (metres) of texts that
+  lie in the plane of their pose or rectangle, `nil` where all face the viewer.
   """
   @type settings :: %{optional(atom()) => term()}
 
@@ -34,6 +37,9 @@ defmodule Situ.Studio.Scene.Terms do
     budget: 1_000_000,
     within: nil,
     depth_as: "points",
+    sparsity: 1,
+    focal: 500,
+    text: nil,
     axis: 0.2,
     ray: 1.0,
     threshold: 0.0
@@ -50,15 +56,44 @@ defmodule Situ.Studio.Scene.Terms do
   defp any?(_term, @depth), do: false
   defp any?(%module{}, _) when module in @shapes, do: true
   defp any?(%_{}, _), do: false
+
+  defp any?(%{nodes: nodes, edges: edges}, _) when is_map(nodes) and is_list(edges),
+    do: nodes |> Map.values() |> Enum.take(16) |> Enum.any?(&place?/1)
+
   defp any?(map, n) when is_map(map), do: map |> Map.values() |> Enum.take(16) |> any?(n + 1)
   defp any?([head | tail], n), do: any?(head, n + 1) or (is_list(tail) and some?(tail, n, 15))
   defp any?(tuple, n) when is_tuple(tuple), do: tuple |> Tuple.to_list() |> any?(n + 1)
   defp any?(_, _), do: false
 
+  defp place?({x, y, z}), do: is_number(x) and is_number(y) and is_number(z)
+  defp place?(term), do: is_struct(term, Point3)
+
   defp some?([head | tail], n, left) when left > 0,
     do: any?(head, n + 1) or some?(tail, n, left - 1)
 
   defp some?(_, _, _), do: false
+
+  @doc """
+  Whether there is nothing in `term` on purpose: `nil`, an empty list or map, or a container of such.
+
+      iex> Enum.map([nil, [], %{"left" => nil}, {"lamp", nil}, [1], "lamp"], &Situ.Studio.Scene.Terms.nothing?/1)
+      [true, true, true, true, false, false]
+  """
+  @spec nothing?(term()) :: boolean()
+  def nothing?(term), do: nothing?(term, 0)
+
+  defp nothing?(_term, @depth), do: false
+  defp nothing?(none, _) when none in [nil, []], do: true
+  defp nothing?(%_{}, _), do: false
+  defp nothing?(map, n) when is_map(map), do: map |> Map.values() |> nothing?(n + 1)
+  defp nothing?([head | tail], n), do: nothing?(head, n + 1) and nothing?(tail, n)
+
+  defp nothing?(tuple, n) when is_tuple(tuple) do
+    parts = tuple |> Tuple.to_list() |> Enum.reject(&is_binary/1)
+    parts != [] and nothing?(parts, n + 1)
+  end
+
+  defp nothing?(_term, _), do: false
 
   @doc "The items of a term, and what is wrong with it in sentences."
   @spec of(term(), settings()) :: {[Scene.item()], [String.t()]}
@@ -89,11 +124,22 @@ defmodule Situ.Studio.Scene.Terms do
   defp walk({%CameraIntrinsics{} = c, %Pose{} = p}, label, acc, _),
     do: add(acc, &Gathered.item(&1, Views.frustum(c, p, label)))
 
-  defp walk({%picture{} = viewed, %Pose{} = pose}, _, acc, _) when picture in @pictures,
-    do: view(viewed, Views.assumed(viewed), pose, acc)
+  defp walk({%picture{} = viewed, %Pose{} = pose}, _, {_, %{focal: focal}} = acc, _)
+       when picture in @pictures,
+       do: view(viewed, Views.assumed(viewed, focal), pose, acc)
+
+  defp walk({%Mesh{} = mesh, %Pose{} = pose}, label, acc, n),
+    do: walk(Mesh.transform(mesh, pose), label, acc, n + 1)
+
+  defp walk({%PointCloud{} = cloud, %Pose{} = pose}, _, {_, settings} = acc, _),
+    do: found(acc, Views.cloud(cloud, pose, settings))
 
   defp walk({%picture{} = viewed, %Rectangle3{} = r}, _, acc, _) when picture in @pictures,
     do: found(acc, Surfaces.picture(viewed, Rectangle3.corners(r)))
+
+  defp walk({text, %shape{} = place}, _, {_, %{text: height}} = acc, _)
+       when is_binary(text) and shape in [Pose, Rectangle3] and is_number(height),
+       do: add(acc, &Gathered.item(&1, Surfaces.text(text, place, height)))
 
   defp walk({text, place}, _, acc, n) when is_binary(text), do: walk(place, text, acc, n + 1)
 
@@ -117,6 +163,15 @@ defmodule Situ.Studio.Scene.Terms do
 
   defp walk(%Ray3{} = ray, label, {_, %{ray: length}} = acc, _),
     do: add(acc, &Gathered.arrow(&1, ray.origin, Ray3.point_at(ray, length), nil, label || "ray"))
+
+  defp walk(%Line3{} = line, label, acc, _),
+    do: add(acc, &Gathered.line(&1, line.from, line.to, label || "line"))
+
+  defp walk(%PoseVelocity{pose: %Pose{position: at}} = v, label, acc, _) do
+    acc
+    |> add(&Gathered.arrow(&1, at, Vector3.add(at, v.linear), nil, label || "velocity"))
+    |> add(&Gathered.arrow(&1, at, Vector3.add(at, v.angular), {150, 150, 160}, "turns"))
+  end
 
   defp walk(%Velocity3{} = v, label, acc, _) do
     to = Vector3.add(v.origin, Vector3.scale(v.direction, v.magnitude))

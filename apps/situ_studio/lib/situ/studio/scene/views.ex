@@ -25,16 +25,16 @@ defmodule Situ.Studio.Scene.Views do
          else: ({:ok, point} -> point)
   end
 
-  @doc "Intrinsics for a picture of which none are known: a focal length of 500 pixels."
-  @spec assumed(struct()) :: CameraIntrinsics.t()
-  def assumed(%{width: w, height: h}),
-    do: CameraIntrinsics.new!(width: w, height: h, focal: {500, 500})
+  @doc "Intrinsics for a picture of which none are known, but a focal length in pixels."
+  @spec assumed(struct(), number()) :: CameraIntrinsics.t()
+  def assumed(%{width: w, height: h}, focal),
+    do: CameraIntrinsics.new!(width: w, height: h, focal: {focal, focal})
 
   @doc "A view's picture: on its plane, or, of depth, as points or as a surface."
   @spec seen(CameraView.t(), map()) :: Surfaces.result()
   def seen(%CameraView{viewed: %DepthImage{} = depth} = view, %{depth_as: as} = settings)
       when as != "picture" do
-    with {:ok, sparsity} <- sparsity(depth, settings.budget) do
+    with {:ok, sparsity} <- sparsity(depth, settings) do
       if as == "surface",
         do: surface(view, sparsity),
         else: points(view, sparsity, settings)
@@ -44,10 +44,11 @@ defmodule Situ.Studio.Scene.Views do
   def seen(%CameraView{viewed: viewed, intrinsics: camera, pose: pose}, _settings),
     do: Surfaces.picture(viewed, corners(camera, pose), %{"apex" => Tuple.to_list(pose.position)})
 
-  defp sparsity(%DepthImage{width: w, height: h}, budget) when is_integer(w) and is_integer(h),
-    do: {:ok, max(1, ceil(:math.sqrt(w * h / budget)))}
+  defp sparsity(%DepthImage{width: w, height: h}, %{budget: budget, sparsity: least})
+       when is_integer(w) and is_integer(h),
+       do: {:ok, max(least, ceil(:math.sqrt(w * h / budget)))}
 
-  defp sparsity(_depth, _budget), do: {:error, "a depth image without a size"}
+  defp sparsity(_depth, _settings), do: {:error, "a depth image without a size"}
 
   defp surface(view, sparsity) do
     case Depth.to_mesh(view.viewed, view.intrinsics, sparsity: sparsity) do

@@ -27,6 +27,17 @@ defmodule Situ.Studio.Visualizers.Space do
     {"3000000", "3 million"},
     {"10000000", "10 million"}
   ]
+  @ranges [
+    {"auto", "each picture's own range"},
+    {"fixed", "a fixed range"},
+    {"all", "all 16 bits"},
+    {"nfov_binned", "Azure Kinect, narrow, binned"},
+    {"nfov", "Azure Kinect, narrow"},
+    {"wfov_binned", "Azure Kinect, wide, binned"},
+    {"wfov", "Azure Kinect, wide"}
+  ]
+  @texts [{"viewer", "facing the viewer"}, {"plane", "in their plane"}]
+  @values {:range, 0, 65_535}
   @depths [{"points", "points"}, {"surface", "a surface"}, {"picture", "a picture"}]
 
   @impl true
@@ -48,8 +59,29 @@ defmodule Situ.Studio.Visualizers.Space do
           opacity: [type: {:range, 0, 100}, title: "Opacity, %", default: 100],
           plane: [type: {:range, 0.05, 100}, title: "Picture plane at, m", default: 1],
           labels: [type: :boolean, title: "Labels", default: true],
+          text_as: [type: {:in, @texts}, title: "Texts", default: "viewer"],
+          text_height: [
+            type: {:range, 0.01, 10},
+            title: "Height of texts, m",
+            default: 0.5,
+            only: {:text_as, "plane"}
+          ],
           over: [type: :boolean, title: "Over the rest", default: false],
           depth_as: [type: {:in, @depths}, title: "Depth as", default: "points"],
+          sparsity: [type: {:range, 1, 50}, title: "Every n-th pixel of depth", default: 1],
+          depth_range: [
+            type: {:in, @ranges},
+            title: "Range of depth",
+            default: "auto",
+            only: {:depth_as, "picture"}
+          ],
+          min: [type: @values, title: "from", default: 0, only: {:depth_range, "fixed"}],
+          max: [type: @values, title: "to", default: 65_535, only: {:depth_range, "fixed"}],
+          focal: [
+            type: {:range, 1, 20_000},
+            title: "Focal length of pictures without a lens, px",
+            default: 500
+          ],
           budget: [type: {:in, @budgets}, title: "Points at most", default: "1000000"],
           axis: [type: {:range, 0.01, 10}, title: "Axes, m", default: 0.2],
           ray: [type: {:range, 0.01, 100}, title: "Rays, m", default: 1],
@@ -63,7 +95,9 @@ defmodule Situ.Studio.Visualizers.Space do
   def instant(channel, data, message, %{spec: spec} = context) do
     case Scene.Terms.of(data, settings(spec)) do
       {[], []} ->
-        {:error, "nothing of this message is in space"}
+        if Scene.Terms.nothing?(data),
+          do: Frame.scene(channel, message.originating_time, [], []),
+          else: {:error, "nothing of this message is in space"}
 
       {[], [what | _]} ->
         {:error, what}
@@ -84,6 +118,9 @@ defmodule Situ.Studio.Visualizers.Space do
       within: planes(props["within"]),
       budget: String.to_integer(s.budget),
       depth_as: s.depth_as,
+      sparsity: round(s.sparsity),
+      focal: s.focal,
+      text: if(s.text_as == "plane", do: s.text_height),
       axis: s.axis,
       ray: s.ray,
       threshold: s.threshold

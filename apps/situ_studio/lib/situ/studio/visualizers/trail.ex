@@ -41,9 +41,11 @@ defmodule Situ.Studio.Visualizers.Trail do
     with {:ok, messages} <- messages(source, spec.stream, from, to) do
       ways = messages |> Enum.map(&places(&1, spec.path)) |> Enum.reject(&(&1 == []))
 
-      if ways == [],
-        do: {:error, "nothing of these messages has a place"},
-        else: Frame.scene(channel, to, items(ways), [])
+      cond do
+        ways != [] -> Frame.scene(channel, to, items(ways), [])
+        nothing?(messages, spec.path) -> Frame.scene(channel, to, [], [])
+        true -> {:error, "nothing of these messages has a place"}
+      end
     else
       {:error, error} -> {:error, error.what}
     end
@@ -61,6 +63,13 @@ defmodule Situ.Studio.Visualizers.Trail do
       error ->
         error
     end
+  end
+
+  defp nothing?(messages, path) do
+    Enum.all?(messages, fn %{data: data} ->
+      match?({:ok, _}, Path.fetch(data, path)) and
+        data |> Path.fetch(path) |> elem(1) |> Scene.Terms.nothing?()
+    end)
   end
 
   @doc """
@@ -82,6 +91,9 @@ defmodule Situ.Studio.Visualizers.Trail do
   defp of(%Situ.Point3{x: x, y: y, z: z}), do: [{x, y, z}]
   defp of(%Situ.Ray3{origin: p}), do: [p]
   defp of(%Situ.Velocity3{origin: p}), do: [p]
+  defp of(%Situ.PoseVelocity{pose: pose}), do: of(pose)
+  defp of(%Situ.Line3{from: from, to: to}), do: [from, to]
+  defp of(%Situ.Rectangle3{pose: pose}), do: of(pose)
   defp of(%Situ.Box3{} = box), do: [Situ.Box3.center(box)]
   defp of(%Situ.CameraView{pose: pose}), do: of(pose)
 

@@ -14,7 +14,7 @@ defmodule Situ.Studio.Scene.TermsTest do
     PointCloud
   }
 
-  alias Situ.{Pose, Ray3, Rectangle3, Skeleton, Velocity3, VoxelGrid}
+  alias Situ.{Line3, Pose, PoseVelocity, Ray3, Rectangle3, Skeleton, Velocity3, VoxelGrid}
   alias Situ.Studio.{Scene, StreamInfo}
   alias Situ.Studio.Scene.Terms
   doctest Scene
@@ -79,6 +79,42 @@ defmodule Situ.Studio.Scene.TermsTest do
     assert kinds(CameraView.new(cloud, @camera, @pose)) == [frusta: 1, points: 1]
     assert kinds(body) == [graphs: 2]
     assert kinds([body, nil, @ray]) == [graphs: 2, lines: 1]
+    line = Line3.new({0.0, 0.0, 0.0}, {1.0, 0.0, 0.0})
+    assert kinds([line, nil, line]) == [lines: 2]
+    assert {[%{meta: %{"arrow" => false}}], []} = Terms.of(line)
+    {:ok, both} = PoseVelocity.between(Pose.identity(), @pose, 1_000_000_000)
+    assert kinds(both) == [lines: 1, lines: 1]
+    assert kinds({mesh(), @pose}) == [meshes: 1]
+    assert kinds({cloud, @pose}) == [points: 1]
+    assert kinds({"wall", @pose}) == [lines: 3, texts: 1]
+    assert kinds({"wall", @pose}, %{text: 0.5}) == [quads: 1]
+    assert kinds(%{"a" => @pose}, %{text: 0.5}) == [lines: 3, texts: 1]
+    assert {[%{meta: %{"text" => "wall"}}], []} = Terms.of({"wall", rectangle}, %{text: 0.5})
+  end
+
+  test "a mesh with a pose beside it lies there" do
+    {[%{meta: %{"matrix" => matrix}}], []} = Terms.of({mesh(), @pose})
+    assert Enum.slice(matrix, 12, 3) == [1.0, 2.0, 3.0]
+
+    {[%{numbers: [position: at]}], []} =
+      Terms.of({PointCloud.from_points([{0.0, 0.0, 1.0}]), @pose})
+
+    assert at == <<1.0::little-float-32, 2.0::little-float-32, 4.0::little-float-32>>
+  end
+
+  test "depth is thinned, and pictures without a lens get one, as the settings say" do
+    view = CameraView.new(depth(), @camera, @pose)
+    assert kinds(view, %{sparsity: 2}) == [frusta: 1, points: 12]
+
+    far = fn focal ->
+      {[%{numbers: [corner: <<_::binary-size(16), y::little-float-32, _::binary>>]} | _], []} =
+        Terms.of({image(), Pose.identity()}, %{focal: focal})
+
+      y
+    end
+
+    assert_in_delta far.(4), 1.0, 1.0e-6
+    assert_in_delta far.(8), 0.5, 1.0e-6
   end
 
   test "a budget of points is kept, and what there was is told" do
@@ -155,6 +191,9 @@ defmodule Situ.Studio.Scene.TermsTest do
     assert StreamInfo.shape({:map, :string, Pose}) == :space
     assert StreamInfo.shape(Situ.Transform) == :frames
     assert StreamInfo.shape_of({@camera, @pose}) == :space
+    graph = %{nodes: %{a: {0.0, 0.0, 1.0}, b: {1.0, 0.0, 1.0}}, edges: [{:a, :b}]}
+    assert StreamInfo.shape_of(graph) == :space
+    refute StreamInfo.shape_of(%{nodes: %{a: 1}, edges: []}) == :space
     assert StreamInfo.shape_of_text("list of Situ.Skeleton") == :space
   end
 end
