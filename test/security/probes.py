@@ -232,6 +232,10 @@ def _():
         except OSError:
             break
     try:
+        # All 2,000 that the server takes may be the greedy one's until it looks at them the next time.
+        ends = time.monotonic() + 5
+        while time.monotonic() < ends and Client(OPEN, "127.0.0.9").get("/", timeout=5)[0] != 200:
+            time.sleep(0.2)
         answers()
     finally:
         for s in held:

@@ -19,6 +19,14 @@ page.setDefaultTimeout(60_000);
 const noise = [];
 page.on("console", (m) => ["error", "warning"].includes(m.type()) && noise.push(m.text()));
 page.on("pageerror", (e) => noise.push(String(e)));
+// The last frames, for whoever has to find out why a wait was in vain.
+const frames = [];
+page.on("websocket", (ws) => {
+  const tell = (way) => (payload) => frames.push(`${way} ${String(payload).slice(0, 160)}`);
+  ws.on("framesent", (f) => tell(">")(f.payload));
+  ws.on("framereceived", (f) => tell("<")(f.payload));
+  ws.on("close", tell("closed"));
+});
 
 let failed = 0;
 const check = (name, ok, detail = "") => {
@@ -158,7 +166,7 @@ try {
   const unexpected = noise.filter((n) => !/error: unable|phx-error|view crashed/i.test(n));
   check("nothing in the console", unexpected.length === 0, unexpected.slice(0, 5).join("\n"));
 } catch (error) {
-  check("to the end", false, `${error}\n${noise.slice(0, 10).join("\n")}`);
+  check("to the end", false, `${error}\n${noise.slice(0, 10).join("\n")}\n${frames.slice(-12).join("\n")}`);
 }
 await browser.close();
 process.exit(failed ? 1 : 0);

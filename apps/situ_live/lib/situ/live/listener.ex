@@ -5,7 +5,8 @@ defmodule Situ.Live.Listener do
   alias Situ.Live.{Connections, Endpoint, Peers, Yaws}
 
   @sweep_ms 15_000
-  @crowd_ms 1_000
+  # All connections may be taken for so long; with few of them a look costs nothing (`Situ.Live.Peers`).
+  @crowd_ms 200
   @idle_ms 90_000
 
   def start_link(arg), do: GenServer.start_link(__MODULE__, arg)
