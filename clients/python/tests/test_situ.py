@@ -22,6 +22,8 @@ CODED = [
     situ.AudioBuffer(16_000, 2, "s16", b"abcd"),
     situ.Tensor("<f4", (2, 1), b"01234567"),
     situ.PointCloud(b"0123456789ab", b"rgb"),
+    situ.PointCloud(b"0123456789ab", None, b"1234"),
+    situ.PointCloud(b"0123456789ab", b"rgb", b"1234"),
     situ.Pose((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0)),
 ]
 PLAIN = [0, -1, 255, 1 << 40, -(1 << 200), 1.5, True, None, "ä", b"\xff\x00", [1, [2]], (1, "x"), {"a": [None], "b": {}}, []]

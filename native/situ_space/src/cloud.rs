@@ -55,23 +55,28 @@ impl Places {
     }
 }
 
+/// Points, and what belongs to each: some bytes of one kind, some of another.
+pub type Part = (Vec<u8>, Vec<Vec<u8>>, usize);
+
 /// The part of a cloud that lies before some planes: those are `(a, b, c, d)`, and before one is where
-/// `ax + by + cz + d >= 0`. At most `most` points, evenly by number, in their order; with their `colors` (3 bytes each;
-/// none is empty), and how many there are. Points that are not finite are nowhere.
+/// `ax + by + cz + d >= 0`. At most `most` points, evenly by number, in their order; with their `extras`, which are
+/// bytes (as many as it says for each point, or none at all), and how many there are. Points that are not finite are
+/// nowhere.
 pub fn within(
     cloud: &[u8],
-    colors: &[u8],
+    extras: &[(&[u8], usize)],
     planes: &[[f32; 4]],
     most: usize,
-) -> Result<(Vec<u8>, Vec<u8>, usize)> {
+) -> Result<Part> {
     let count = cloud.len() / 12;
-    if !cloud.len().is_multiple_of(12) || !(colors.is_empty() || colors.len() == count * 3) {
+    let fits = |(bytes, size): &(&[u8], usize)| bytes.is_empty() || bytes.len() == count * size;
+    if !cloud.len().is_multiple_of(12) || !extras.iter().all(fits) {
         return fail(
             Code::BadCloud,
             format!(
-                "{} bytes of points and {} of colours are no cloud",
+                "{} bytes of points and {} beside them are no cloud",
                 cloud.len(),
-                colors.len()
+                extras.iter().map(|e| e.0.len()).sum::<usize>()
             ),
         );
     }
@@ -97,14 +102,20 @@ pub fn within(
         .collect();
     let kept = found.len().min(most);
     let mut points = Vec::with_capacity(kept * 12);
-    let mut tones = Vec::with_capacity(if colors.is_empty() { 0 } else { kept * 3 });
+    let mut more = vec![Vec::new(); extras.len()];
     for i in 0..kept {
         let nth = (i as u64 * found.len() as u64 / kept as u64) as usize;
         let from = found.get(nth).map_or(0, |&n| n as usize);
         points.extend_from_slice(cloud.get(from * 12..from * 12 + 12).unwrap_or_default());
-        tones.extend_from_slice(colors.get(from * 3..from * 3 + 3).unwrap_or_default());
+        for (out, (bytes, size)) in more.iter_mut().zip(extras) {
+            out.extend_from_slice(
+                bytes
+                    .get(from * size..from * size + size)
+                    .unwrap_or_default(),
+            );
+        }
     }
-    Ok((points, tones, found.len()))
+    Ok((points, more, found.len()))
 }
 
 /// At most `most` of a row of records of `size` bytes, evenly by number: the first of each run of neighbours.
@@ -251,14 +262,19 @@ mod tests {
         let colors: Vec<u8> = (0..33).collect();
         // from 2 to 7
         let planes = [[1.0, 0.0, 0.0, -2.0], [-1.0, 0.0, 0.0, 7.0]];
-        let (some, tones, all) = within(&cloud, &colors, &planes, 3)?;
+        let extras = [(&colors[..], 3), (&colors[..22], 2), (&[][..], 4)];
+        let (some, more, all) = within(&cloud, &extras, &planes, 3)?;
         assert_eq!(all, 6);
         let some: Vec<f32> = points(&some)?.iter().map(|p| p[0]).collect();
         assert_eq!(some, [2.0, 4.0, 6.0]);
-        assert_eq!(tones, [6, 7, 8, 12, 13, 14, 18, 19, 20]);
+        assert_eq!(more[0], [6, 7, 8, 12, 13, 14, 18, 19, 20]);
+        assert_eq!(
+            (&more[1][..], more[2].len()),
+            (&[4, 5, 8, 9, 12, 13][..], 0)
+        );
         assert_eq!(within(&cloud, &[], &planes, 100)?.0.len(), 6 * 12);
         assert_eq!(within(&[], &[], &planes, 5)?.2, 0);
-        assert!(within(&cloud, &[1], &planes, 5).is_err());
+        assert!(within(&cloud, &[(&[1], 3)], &planes, 5).is_err());
         assert!(within(&[1], &[], &planes, 5).is_err());
         Ok(())
     }

@@ -132,26 +132,31 @@ fn layers_fit(file: &[u8], records: Records, vlr: &LazVlr) -> Result<()> {
 }
 
 /// The places of records (three whole numbers, times `scale`, plus `offset`) as points, and their colours, where they
-/// begin at the byte `colors` of a record: 16 bits each, of which many writers use only the lower 8.
+/// begin at the byte `colors` of a record: 16 bits each, of which many writers use only the lower 8; and how strongly
+/// each point shone back, 32-bit floats, where that is told.
 pub fn cloud(
     records: &[u8],
     size: usize,
     colors: Option<usize>,
     scale: [f64; 3],
     offset: [f64; 3],
-) -> Result<(Vec<u8>, Vec<u8>)> {
-    if size < 12 || !records.len().is_multiple_of(size) || colors.is_some_and(|at| at + 6 > size) {
+) -> Result<(Vec<u8>, Vec<u8>, Vec<u8>)> {
+    if size < 14 || !records.len().is_multiple_of(size) || colors.is_some_and(|at| at + 6 > size) {
         return bad("its records have another size than its head tells");
     }
     let count = records.len() / size;
     let mut points = Vec::with_capacity(count * 12);
-    let mut tones = Vec::new();
+    let (mut tones, mut shone) = (Vec::new(), Vec::new());
     let tone = |record: &[u8], at: usize| u16::from_le_bytes([record[at], record[at + 1]]);
     let most = colors.map_or(0, |at| {
         let of = |r: &[u8]| (0..3).map(|k| tone(r, at + 2 * k)).max().unwrap_or(0);
         records.chunks_exact(size).map(of).max().unwrap_or(0)
     });
+    let told = records.chunks_exact(size).any(|r| tone(r, 12) > 0);
     for record in records.chunks_exact(size) {
+        if told {
+            shone.extend_from_slice(&f32::from(tone(record, 12)).to_le_bytes());
+        }
         for axis in 0..3 {
             let at = 4 * axis;
             let whole = [record[at], record[at + 1], record[at + 2], record[at + 3]];
@@ -166,7 +171,7 @@ pub fn cloud(
             tones.extend((0..3).map(|k| (tone(record, at + 2 * k) >> shift) as u8));
         }
     }
-    Ok((points, tones))
+    Ok((points, tones, shone))
 }
 
 #[cfg(test)]
@@ -241,15 +246,17 @@ mod tests {
         record.extend_from_slice(&100i32.to_le_bytes());
         record.extend_from_slice(&(-50i32).to_le_bytes());
         record.extend_from_slice(&7i32.to_le_bytes());
+        record.extend_from_slice(&[7, 1]);
         record.extend_from_slice(&[0, 255, 0, 1, 255, 0]);
-        let (points, tones) =
-            cloud(&record, 18, Some(12), [0.5; 3], [1.0, 0.0, 0.0]).unwrap_or_default();
+        let (points, tones, shone) =
+            cloud(&record, 20, Some(14), [0.5; 3], [1.0, 0.0, 0.0]).unwrap_or_default();
         let expected: Vec<u8> = [51.0f32, -25.0, 3.5]
             .iter()
             .flat_map(|v| v.to_le_bytes())
             .collect();
         assert_eq!((points, tones), (expected, vec![255, 1, 0]));
-        assert!(cloud(&record, 17, None, [1.0; 3], [0.0; 3]).is_err());
-        assert!(cloud(&record, 18, None, [f64::MAX; 3], [0.0; 3]).is_err());
+        assert_eq!(shone, 263f32.to_le_bytes());
+        assert!(cloud(&record, 19, None, [1.0; 3], [0.0; 3]).is_err());
+        assert!(cloud(&record, 20, None, [f64::MAX; 3], [0.0; 3]).is_err());
     }
 }

@@ -41,6 +41,8 @@ fn las_points<'a>(
     );
     reply(
         env,
-        found.and_then(|(p, c)| Ok((binary(env, &p)?, binary(env, &c)?).encode(env))),
+        found.and_then(|(p, c, s)| {
+            Ok((binary(env, &p)?, binary(env, &c)?, binary(env, &s)?).encode(env))
+        }),
     )
 }

@@ -204,6 +204,7 @@ fn within<'a>(
     env: Env<'a>,
     points: Binary<'a>,
     colors: Binary<'a>,
+    values: Binary<'a>,
     planes: Vec<(f64, f64, f64, f64)>,
     most: u32,
 ) -> Term<'a> {
@@ -211,10 +212,14 @@ fn within<'a>(
         .iter()
         .map(|&(a, b, c, d)| [a as f32, b as f32, c as f32, d as f32])
         .collect();
-    let found = cloud::within(points.as_slice(), colors.as_slice(), &planes, most as usize);
+    let extras = [(colors.as_slice(), 3), (values.as_slice(), 4)];
+    let found = cloud::within(points.as_slice(), &extras, &planes, most as usize);
     reply(
         env,
-        found.and_then(|(p, c, n)| Ok((binary(env, &p)?, binary(env, &c)?, n as u64).encode(env))),
+        found.and_then(|(p, more, n)| {
+            let (colors, values) = (binary(env, &more[0])?, binary(env, &more[1])?);
+            Ok((binary(env, &p)?, colors, values, n as u64).encode(env))
+        }),
     )
 }
 

@@ -1,7 +1,8 @@
 defmodule Situ.PointCloud do
   @moduledoc """
   Many points in space as one binary: three 32-bit little-endian floats a point (x, y, z in metres), and optionally a
-  colour a point (three bytes: red, green, blue) in another binary.
+  colour a point (three bytes: red, green, blue) in another binary, and a value a point (a 32-bit little-endian float:
+  how strongly a laser shone back, how sure it is) in a third.
 
       iex> cloud = Situ.PointCloud.from_points([{0.0, 0.0, 0.0}, {2.0, 4.0, 6.0}])
       iex> {Situ.PointCloud.count(cloud), Situ.PointCloud.bounds(cloud).max, Situ.PointCloud.centroid(cloud)}
@@ -13,13 +14,13 @@ defmodule Situ.PointCloud do
   alias Situ.{Box3, Error, Pose, Vector3}
 
   @enforce_keys [:points]
-  defstruct [:points, colors: nil]
+  defstruct [:points, colors: nil, values: nil]
 
-  @type t :: %__MODULE__{points: binary(), colors: binary() | nil}
+  @type t :: %__MODULE__{points: binary(), colors: binary() | nil, values: binary() | nil}
 
   @doc "A checked cloud; nothing is copied. Functions that use a cloud refuse coordinates that are not finite."
-  @spec new(binary(), binary() | nil) :: {:ok, t()} | {:error, Error.t()}
-  def new(points, colors \\ nil) when is_binary(points) do
+  @spec new(binary(), binary() | nil, binary() | nil) :: {:ok, t()} | {:error, Error.t()}
+  def new(points, colors \\ nil, values \\ nil) when is_binary(points) do
     cond do
       rem(byte_size(points), 12) != 0 ->
         {:error,
@@ -36,8 +37,16 @@ defmodule Situ.PointCloud do
            fix: "give three bytes for each point"
          )}
 
+      values != nil and byte_size(values) * 3 != byte_size(points) ->
+        {:error,
+         Error.new(
+           :bad_cloud,
+           "#{div(byte_size(points), 12)} points have #{byte_size(values)} bytes of values",
+           fix: "give a float of 32 bits for each point"
+         )}
+
       true ->
-        {:ok, %__MODULE__{points: points, colors: colors}}
+        {:ok, %__MODULE__{points: points, colors: colors, values: values}}
     end
   end
 
@@ -101,22 +110,24 @@ defmodule Situ.PointCloud do
   def codec_name, do: "situ.point_cloud"
 
   @impl Situ.Codec
-  def encode(%__MODULE__{points: points, colors: colors}) do
-    [
-      <<1, if(colors, do: 1, else: 0), 0::16, div(byte_size(points), 12)::little-32>>,
-      points | List.wrap(colors)
-    ]
+  def encode(%__MODULE__{points: points, colors: colors} = cloud) do
+    # clouds of older recordings that are decoded as terms have no values
+    values = Map.get(cloud, :values)
+    flags = if(colors, do: 1, else: 0) + if(values, do: 2, else: 0)
+
+    [<<1, flags, 0::16, div(byte_size(points), 12)::little-32>>, points] ++
+      List.wrap(colors) ++ List.wrap(values)
   end
 
   @impl Situ.Codec
-  def decode(<<1, colors, 0::16, count::little-32, rest::binary>>) when colors in [0, 1] do
-    case rest do
-      <<points::binary-known(count)-unit(96)>> when colors == 0 ->
-        new(points)
+  def decode(<<1, flags, 0::16, count::little-32, rest::binary>>) when flags in 0..3 do
+    colors = if rem(flags, 2) == 1, do: count, else: 0
+    values = if flags >= 2, do: count, else: 0
 
-      <<points::binary-known(count)-unit(96), rgb::binary-known(count)-unit(24)>>
-      when colors == 1 ->
-        new(points, rgb)
+    case rest do
+      <<points::binary-known(count)-unit(96), rgb::binary-known(colors)-unit(24),
+        floats::binary-known(values)-unit(32)>> ->
+        new(points, if(rem(flags, 2) == 1, do: rgb), if(flags >= 2, do: floats))
 
       _ ->
         {:error,

@@ -167,6 +167,20 @@ defmodule Situ.SurfacesTest do
              PoseVelocity.between(Pose.identity(), Pose.identity(), 0)
   end
 
+  test "a cloud with values is read back, with colours and without" do
+    for colors <- [nil, <<1, 2, 3, 4, 5, 6>>] do
+      {:ok, cloud} =
+        PointCloud.new(<<0::192>>, colors, <<1.5::little-float-32, 2.5::little-float-32>>)
+
+      bytes = cloud |> PointCloud.encode() |> IO.iodata_to_binary()
+      assert PointCloud.decode(bytes) == {:ok, cloud}
+      assert {:error, _} = PointCloud.decode(binary_part(bytes, 0, byte_size(bytes) - 1))
+      assert PointCloud.transform(cloud, Pose.identity()).values == cloud.values
+    end
+
+    assert {:error, %{code: :bad_cloud}} = PointCloud.new(<<0::192>>, nil, <<0::32>>)
+  end
+
   test "a cloud with holes keeps its colours beside its points when it moves" do
     nan = <<0, 0, 0xC0, 0x7F>>
     {:ok, cloud} = PointCloud.new(<<nan::binary, 0::64>> <> <<0::96>>, <<1, 2, 3, 4, 5, 6>>)

@@ -272,20 +272,21 @@ class Tensor:
 
 @dataclasses.dataclass
 class PointCloud:
-    """Points of three float32 (metres), and their colours or None."""
+    """Points of three float32 (metres), and their colours and values (float32) or None."""
 
     points: bytes
     colors: bytes = None
+    values: bytes = None
 
     NAME = "situ.point_cloud"
     TYPE = "Situ.PointCloud"
 
     @classmethod
-    def from_array(cls, points, colors=None):
-        """Of an array (n, 3), and one of uint8 (n, 3)."""
+    def from_array(cls, points, colors=None, values=None):
+        """Of an array (n, 3), one of uint8 (n, 3), and one of numbers (n)."""
         np = numpy()
-        points = np.ascontiguousarray(points, "<f4").tobytes()
-        return cls(points, None if colors is None else np.ascontiguousarray(colors, "u1").tobytes())
+        bytes_of = lambda array, kind: None if array is None else np.ascontiguousarray(array, kind).tobytes()
+        return cls(bytes_of(points, "<f4"), bytes_of(colors, "u1"), bytes_of(values, "<f4"))
 
     @property
     def array(self):
@@ -297,16 +298,23 @@ class PointCloud:
         """(n, 3), uint8, or None."""
         return None if self.colors is None else numpy().frombuffer(self.colors, "u1").reshape(-1, 3)
 
+    @property
+    def numbers(self):
+        """The values: (n), float32, or None."""
+        return None if self.values is None else numpy().frombuffer(self.values, "<f4")
+
     def encode(self):
-        head = struct.pack("<BBHI", 1, self.colors is not None, 0, len(self.points) // 12)
-        return head + bytes(self.points) + bytes(self.colors or b"")
+        flags = (self.colors is not None) + 2 * (self.values is not None)
+        head = struct.pack("<BBHI", 1, flags, 0, len(self.points) // 12)
+        return head + bytes(self.points) + bytes(self.colors or b"") + bytes(self.values or b"")
 
     @classmethod
     def decode(cls, raw):
-        _expect(len(raw) >= 8 and raw[0] == 1 and raw[1] in (0, 1), "a cloud is too short")
+        _expect(len(raw) >= 8 and raw[0] == 1 and raw[1] in range(4), "a cloud is too short")
         count = struct.unpack_from("<I", raw, 4)[0]
-        _expect(len(raw) == 8 + 12 * count + (3 * count if raw[1] else 0), "a cloud has another size than it says")
-        return cls(raw[8 : 8 + 12 * count], raw[8 + 12 * count :] if raw[1] else None)
+        tones, numbers = 8 + 12 * count, 8 + 12 * count + (3 * count if raw[1] & 1 else 0)
+        _expect(len(raw) == numbers + (4 * count if raw[1] & 2 else 0), "a cloud has another size than it says")
+        return cls(raw[8:tones], raw[tones:numbers] if raw[1] & 1 else None, raw[numbers:] if raw[1] & 2 else None)
 
 
 @dataclasses.dataclass

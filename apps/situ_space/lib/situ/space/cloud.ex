@@ -14,7 +14,7 @@ defmodule Situ.Space.Cloud do
 
   @doc """
   One point for every cube with edges of `size` metres: the mean of the points in it, in the order in which the cubes
-  are first met. Colours are left out.
+  are first met. Colours and values are left out.
   """
   @spec downsample(PointCloud.t(), number()) :: result()
   def downsample(%PointCloud{} = cloud, size) when is_number(size) do
@@ -23,8 +23,8 @@ defmodule Situ.Space.Cloud do
   end
 
   @doc """
-  At most `most` points of the cloud, evenly by their number, in their order, with their colours: for drawing, where
-  each point stands for its neighbours.
+  At most `most` points of the cloud, evenly by their number, in their order, with their colours and values: for
+  drawing, where each point stands for its neighbours.
 
       iex> cloud = Situ.PointCloud.from_points(for x <- 1..6, do: {x * 1.0, 0.0, 0.0})
       iex> {:ok, fewer} = Situ.Space.Cloud.thin(cloud, 2)
@@ -34,17 +34,18 @@ defmodule Situ.Space.Cloud do
   @spec thin(PointCloud.t(), pos_integer()) :: result()
   def thin(%PointCloud{} = cloud, most) when is_integer(most) and most > 0 do
     with {:ok, points} <- Kernel.call(:thin, [cloud.points, 12, most]),
-         {:ok, colors} <- thin_colors(cloud.colors, most),
-         do: PointCloud.new(points, colors)
+         {:ok, colors} <- thin_extra(cloud.colors, 3, most),
+         {:ok, values} <- thin_extra(cloud.values, 4, most),
+         do: PointCloud.new(points, colors, values)
   end
 
-  defp thin_colors(nil, _most), do: {:ok, nil}
-  defp thin_colors(colors, most), do: Kernel.call(:thin, [colors, 3, most])
+  defp thin_extra(nil, _size, _most), do: {:ok, nil}
+  defp thin_extra(bytes, size, most), do: Kernel.call(:thin, [bytes, size, most])
 
   @doc """
   At most `most` of the points that lie before all of these planes, evenly by their number, in their order, with their
-  colours; and how many do. Before `{a, b, c, d}` is where `ax + by + cz + d >= 0`: six planes are what a camera sees.
-  Points that are not finite are nowhere.
+  colours and values; and how many do. Before `{a, b, c, d}` is where `ax + by + cz + d >= 0`: six planes are what a
+  camera sees. Points that are not finite are nowhere.
 
       iex> cloud = Situ.PointCloud.from_points(for x <- 0..9, do: {x * 1.0, 0.0, 0.0})
       iex> {:ok, {near, 4}} = Situ.Space.Cloud.within(cloud, [{-1.0, 0.0, 0.0, 3.0}], 2)
@@ -56,13 +57,15 @@ defmodule Situ.Space.Cloud do
   def within(%PointCloud{} = cloud, planes, most) when is_integer(most) and most > 0 do
     planes = for {a, b, c, d} <- planes, do: {a * 1.0, b * 1.0, c * 1.0, d * 1.0}
 
-    with {:ok, {points, colors, count}} <-
-           Kernel.call(:within, [cloud.points, cloud.colors || <<>>, planes, most]),
-         {:ok, found} <- PointCloud.new(points, if(cloud.colors, do: colors)),
+    %{points: points, colors: colors, values: values} = cloud
+    arguments = [points, colors || <<>>, values || <<>>, planes, most]
+
+    with {:ok, {points, some_colors, some_values, count}} <- Kernel.call(:within, arguments),
+         {:ok, found} <- PointCloud.new(points, colors && some_colors, values && some_values),
          do: {:ok, {found, count}}
   end
 
-  @doc "The cloud, given in a pose's own frame, in the frame of the pose; colours stay."
+  @doc "The cloud, given in a pose's own frame, in the frame of the pose; colours and values stay."
   @spec transform(PointCloud.t(), Pose.t()) :: result()
   def transform(%PointCloud{} = cloud, %Pose{} = pose) do
     with {:ok, points} <-
@@ -71,10 +74,10 @@ defmodule Situ.Space.Cloud do
              Quaternion.to_matrix(pose.rotation),
              pose.position
            ]),
-         do: PointCloud.new(points, cloud.colors)
+         do: PointCloud.new(points, cloud.colors, cloud.values)
   end
 
-  @doc "The points inside a box, its skin included, in their order, with their colours."
+  @doc "The points inside a box, its skin included, in their order, with their colours and values."
   @spec clip(PointCloud.t(), Box3.t()) :: result()
   def clip(%PointCloud{} = cloud, %Box3{} = box) do
     with {:ok, local} <-
@@ -83,7 +86,8 @@ defmodule Situ.Space.Cloud do
          do:
            PointCloud.new(
              pick(cloud.points, places, 12),
-             cloud.colors && pick(cloud.colors, places, 3)
+             cloud.colors && pick(cloud.colors, places, 3),
+             cloud.values && pick(cloud.values, places, 4)
            )
   end
 
@@ -158,7 +162,8 @@ defmodule Situ.Space.Cloud do
 
     %PointCloud{
       points: pick(cloud.points, places, 12),
-      colors: cloud.colors && pick(cloud.colors, places, 3)
+      colors: cloud.colors && pick(cloud.colors, places, 3),
+      values: cloud.values && pick(cloud.values, places, 4)
     }
   end
 

@@ -21,7 +21,7 @@ defmodule Situ.Space.Native do
 
   def downsample(_points, _size), do: :erlang.nif_error(:not_loaded)
   def thin(_records, _size, _most), do: :erlang.nif_error(:not_loaded)
-  def within(_points, _colors, _planes, _most), do: :erlang.nif_error(:not_loaded)
+  def within(_points, _colors, _values, _planes, _most), do: :erlang.nif_error(:not_loaded)
   def clusters(_points, _radius, _least), do: :erlang.nif_error(:not_loaded)
   def clip(_points, _min, _max), do: :erlang.nif_error(:not_loaded)
   def transform(_points, _rotation, _position), do: :erlang.nif_error(:not_loaded)

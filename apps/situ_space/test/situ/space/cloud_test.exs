@@ -3,7 +3,23 @@ defmodule Situ.Space.CloudTest do
   use Situ.Test.Property
   alias Situ.{Box3, PointCloud, Pose, Quaternion, Vector3}
   alias Situ.Space.Cloud
+
   doctest Cloud
+
+  test "values stay beside their points" do
+    points = for x <- 0..9, do: {x * 1.0, 0.0, 0.0}
+    values = for x <- 0..9, into: <<>>, do: <<x * 10.0::little-float-32>>
+    {:ok, cloud} = PointCloud.new(PointCloud.from_points(points).points, nil, values)
+    numbers = fn %{values: bytes} -> for <<x::little-float-32 <- bytes>>, do: x end
+    {:ok, few} = Cloud.thin(cloud, 2)
+    assert numbers.(few) == [0.0, 50.0]
+    {:ok, {near, 4}} = Cloud.within(cloud, [{-1.0, 0.0, 0.0, 3.0}], 2)
+    assert numbers.(near) == [0.0, 20.0]
+    {:ok, part} = Cloud.clip(cloud, Situ.Box3.new!({4.5, -1.0, -1.0}, {6.5, 1.0, 1.0}))
+    assert numbers.(part) == [50.0, 60.0]
+    {:ok, [all]} = Cloud.clusters(cloud, 1.5)
+    assert {:ok, %{values: ^values}} = Cloud.transform(all, Situ.Pose.new({1.0, 0.0, 0.0}))
+  end
 
   defp coordinate, do: map(integer(-300, 300), &(&1 / 100))
   defp points, do: list({coordinate(), coordinate(), coordinate()})

@@ -40,6 +40,18 @@ defmodule Situ.Space.Scan.PcdTest do
     assert Pcd.read(String.replace(@text, "\n", "\r\n")) == {:ok, cloud}
   end
 
+  test "the intensity is the points' value" do
+    for {data, body} <- [
+          {"ascii", "1 2 3 7.5\n4 5 6 9\n"},
+          {"binary", for(v <- [1, 2, 3, 7.5, 4, 5, 6, 9], into: <<>>, do: <<v::little-float-32>>)}
+        ] do
+      head = "FIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nPOINTS 2\nDATA #{data}\n"
+      assert {:ok, cloud} = Pcd.read(head <> body)
+      assert cloud.values == <<7.5::little-float-32, 9.0::little-float-32>>
+      assert PointCloud.to_points(cloud) == [{1.0, 2.0, 3.0}, {4.0, 5.0, 6.0}]
+    end
+  end
+
   test "as bytes, with padding, a double and colours in a float" do
     rows = row(1, 2, 3, {10, 20, 30}) <> row(-1, 0.5, 0, {200, 100, 50})
     assert {:ok, cloud} = Pcd.read(head("binary", 2) <> rows)

@@ -45,6 +45,9 @@ defmodule Situ.Space.ScanTest do
     end
 
     assert few.colors == binary_part(whole.colors, 0, 600)
+    # laspy's intensities of the first points
+    assert <<143.0::little-float-32, 18.0::little-float-32, _::binary>> = whole.values
+    assert few.values == binary_part(whole.values, 0, 800)
   end
 
   doctest Situ.Space.Scan.Text
@@ -68,6 +71,15 @@ defmodule Situ.Space.ScanTest do
     assert PointCloud.to_points(cloud) == [{1.0, 2.0, 3.0}, {-1.5, 0.0, 100.0}]
     assert cloud.colors == <<255, 0, 7, 0, 255, 1>>
     assert Ply.read(String.replace(text, "\n", "\r\n")) == {:ok, cloud}
+  end
+
+  test "PLY: a scanner's intensity is the points' value" do
+    text =
+      "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n" <>
+        "property float intensity\nend_header\n1 2 3 0.5\n4 5 6 8\n"
+
+    assert {:ok, cloud} = Ply.read(text)
+    assert cloud.values == <<0.5::little-float-32, 8.0::little-float-32>>
   end
 
   defp binary_ply do

@@ -20,7 +20,12 @@ defmodule Situ.Bridge.Ros.Cloud do
     with %{"x" => {x, @float32}, "y" => {y, @float32}, "z" => {z, @float32}} <- at,
          true <- y == x + 4 and z == x + 8 and x + 12 <= step,
          {:ok, data} <- rows(data, m["height"], m["width"] * step, m["row_step"]),
-         {:ok, cloud} <- PointCloud.new(Pixels.every(data, step, x, 12), colors(data, step, at)) do
+         {:ok, cloud} <-
+           PointCloud.new(
+             Pixels.every(data, step, x, 12),
+             colors(data, step, at),
+             values(data, step, at)
+           ) do
       {:ok, cloud}
     else
       _ -> :error
@@ -48,12 +53,35 @@ defmodule Situ.Bridge.Ros.Cloud do
     end
   end
 
+  defp values(data, step, fields) do
+    case fields["intensity"] do
+      {at, @float32} when at + 4 <= step -> Pixels.every(data, step, at, 4)
+      {at, 4} when at + 2 <= step -> integers(Pixels.every(data, step, at, 2), 16)
+      {at, 2} when at + 1 <= step -> integers(Pixels.every(data, step, at, 1), 8)
+      _ -> nil
+    end
+  end
+
+  defp integers(bytes, 8), do: for(<<x <- bytes>>, into: <<>>, do: <<x::little-float-32>>)
+
+  defp integers(bytes, 16),
+    do: for(<<x::little-16 <- bytes>>, into: <<>>, do: <<x::little-float-32>>)
+
   @doc "A cloud as the message's members."
   @spec to(PointCloud.t()) :: map()
-  def to(%PointCloud{colors: colors} = cloud) do
+  def to(%PointCloud{points: points, colors: colors} = cloud) do
     n = PointCloud.count(cloud)
-    {step, data} = if colors, do: {16, woven(cloud.points, colors, [])}, else: {12, cloud.points}
-    names = if colors, do: ~w(x y z rgb), else: ~w(x y z)
+    values = Map.get(cloud, :values)
+    tones = if colors, do: for(<<r, g, b <- colors>>, into: <<>>, do: <<b, g, r, 0>>)
+
+    columns =
+      for {bytes, size} <- [{points, 12}, {tones, 4}, {values, 4}], bytes, do: {bytes, size}
+
+    step = columns |> Enum.map(&elem(&1, 1)) |> Enum.sum()
+    data = woven(columns, n)
+
+    names =
+      ~w(x y z) ++ if(colors, do: ["rgb"], else: []) ++ if(values, do: ["intensity"], else: [])
 
     fields =
       for {name, i} <- Enum.with_index(names),
@@ -71,8 +99,12 @@ defmodule Situ.Bridge.Ros.Cloud do
     }
   end
 
-  defp woven(<<point::binary-12, points::binary>>, <<r, g, b, colors::binary>>, all),
-    do: woven(points, colors, [[point, b, g, r, 0] | all])
+  defp woven([{bytes, _}], _n), do: bytes
 
-  defp woven("", "", all), do: all |> Enum.reverse() |> IO.iodata_to_binary()
+  defp woven(columns, n) do
+    for i <- 0..(n - 1)//1,
+        {bytes, size} <- columns,
+        into: <<>>,
+        do: binary_part(bytes, i * size, size)
+  end
 end

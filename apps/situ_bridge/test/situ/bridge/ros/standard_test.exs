@@ -20,6 +20,12 @@ defmodule Situ.Bridge.Ros.StandardTest do
           DepthImage.new!(width: 1, height: 2, data: <<1, 0, 2, 0>>),
           PointCloud.from_points([{1.0, 2.0, 3.0}, {-1.0, 0.5, 0.0}]),
           %{PointCloud.from_points([{1.0, 2.0, 3.0}]) | colors: <<10, 20, 30>>},
+          %{PointCloud.from_points([{1.0, 2.0, 3.0}]) | values: <<7.5::little-float-32>>},
+          %{
+            PointCloud.from_points([{1.0, 2.0, 3.0}, {4.0, 5.0, 6.0}])
+            | colors: <<1, 2, 3, 4, 5, 6>>,
+              values: <<7.5::little-float-32, 8.0::little-float-32>>
+          },
           %Pose{position: {1.0, 2.0, 3.0}, rotation: {0.5, 0.5, 0.5, -0.5}},
           CameraIntrinsics.new!(
             width: 640,

@@ -40,8 +40,8 @@ defmodule Situ.Space.Scan.Las do
          scale = {sx, sy, sz},
          colors = Map.get(@colors, format, -1),
          arguments = [records, size, colors, scale, {ox - lx, oy - ly, oz - lz}],
-         {:ok, {points, colors}} <- Kernel.call(:las_points, arguments),
-         {:ok, cloud} <- PointCloud.new(points, if(colors != <<>>, do: colors)) do
+         {:ok, {points, colors, shone}} <- Kernel.call(:las_points, arguments),
+         {:ok, cloud} <- PointCloud.new(points, some(colors), some(shone)) do
       {:ok, cloud, {lx, ly, lz}}
     else
       {:error, %Error{code: :bad_file}} = bad -> bad
@@ -52,6 +52,8 @@ defmodule Situ.Space.Scan.Las do
   end
 
   def read(_file), do: bad("its header is none")
+
+  defp some(bytes), do: if(bytes != <<>>, do: bytes)
 
   defp check(format, size) do
     cond do

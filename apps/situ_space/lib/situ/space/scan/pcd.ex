@@ -9,7 +9,7 @@ defmodule Situ.Space.Scan.Pcd do
   @most_points 50_000_000
   @nan <<0, 0, 0xC0, 0x7F>>
 
-  @doc "The points with x, y and z, and their colours where the fields `rgb` or `rgba` are there."
+  @doc "The points with x, y and z; their colours, of the fields `rgb` or `rgba`; their values, of `intensity`."
   @spec read(binary()) :: {:ok, PointCloud.t()} | {:error, Error.t()}
   def read(file) do
     with {:ok, header, body} <- split(file),
@@ -168,7 +168,9 @@ defmodule Situ.Space.Scan.Pcd do
     tone = List.keyfind(fields, "rgb", 0) || List.keyfind(fields, "rgba", 0)
 
     colors = tone && for(v <- values(tone, columns, fields), into: <<>>, do: color(v, tone))
-    PointCloud.new(IO.iodata_to_binary(points), colors)
+    shone = List.keyfind(fields, "intensity", 0)
+    values = shone && for(v <- values(shone, columns, fields), into: <<>>, do: float(v))
+    PointCloud.new(IO.iodata_to_binary(points), colors, values)
   end
 
   defp values({_, type, size, _, at}, {:rows, bytes, row, count}, _fields) do

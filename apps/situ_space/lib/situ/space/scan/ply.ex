@@ -190,6 +190,13 @@ defmodule Situ.Space.Scan.Ply do
     names = Enum.map(properties, &elem(&1, 0))
     places = for name <- ["x", "y", "z"], do: Enum.find_index(names, &(&1 == name))
     tones = for name <- ["red", "green", "blue"], do: Enum.find_index(names, &(&1 == name))
+
+    value =
+      Enum.find_index(
+        names,
+        &(&1 in ["intensity", "scalar_intensity", "scalar_Intensity", "quality"])
+      )
+
     vertices = rows["vertex"] || []
 
     cond do
@@ -202,7 +209,8 @@ defmodule Situ.Space.Scan.Ply do
       true ->
         PointCloud.new(
           points(vertices, places),
-          if(nil not in tones, do: colors(vertices, tones))
+          if(nil not in tones, do: colors(vertices, tones)),
+          value && points(vertices, [value])
         )
     end
   end

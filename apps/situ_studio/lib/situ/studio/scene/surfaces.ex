@@ -14,11 +14,23 @@ defmodule Situ.Studio.Scene.Surfaces do
       when not is_binary(points) or (colors != nil and not is_binary(colors)),
       do: {:error, "a point cloud whose points are no bytes"}
 
+  # decoded as terms, from before clouds had values
+  def cloud(cloud, label, settings) when not is_map_key(cloud, :values),
+    do: cloud(Map.put(cloud, :values, nil), label, settings)
+
+  def cloud(%PointCloud{values: values}, _label, _settings)
+      when values != nil and not is_binary(values),
+      do: {:error, "a point cloud whose values are no bytes"}
+
   def cloud(%PointCloud{} = cloud, label, settings) do
     with {:ok, {cloud, count}} <- some(cloud, PointCloud.count(cloud), settings),
-         {:ok, cloud} <- PointCloud.new(cloud.points, cloud.colors) do
+         {:ok, cloud} <- PointCloud.new(cloud.points, cloud.colors, cloud.values) do
       meta = %{"of" => count, "name" => label || "point"}
-      numbers = [position: cloud.points] ++ if(cloud.colors, do: [color: cloud.colors], else: [])
+
+      extras =
+        for {name, bytes} <- [color: cloud.colors, value: cloud.values], bytes, do: {name, bytes}
+
+      numbers = [{:position, cloud.points} | extras]
       {:ok, Scene.item(:points, PointCloud.count(cloud), numbers, meta)}
     else
       {:error, error} -> {:error, "a point cloud that is none: #{error.what}"}

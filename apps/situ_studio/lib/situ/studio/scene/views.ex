@@ -67,7 +67,7 @@ defmodule Situ.Studio.Scene.Views do
   @doc "A cloud in a camera's frame."
   @spec cloud(PointCloud.t(), Pose.t(), map()) :: Surfaces.result()
   def cloud(cloud, pose, settings) do
-    case Cloud.transform(cloud, pose) do
+    case cloud |> Map.put_new(:values, nil) |> Cloud.transform(pose) do
       {:ok, cloud} -> Surfaces.cloud(cloud, nil, settings)
       {:error, error} -> {:error, error.what}
     end
