@@ -127,9 +127,101 @@ test("10 annotation: edges are dragged, neighbours that touch go along; proposal
     "six proposals",
   );
   await shot("proposals");
-  await page.click(".annotation-tools button:has-text('Accept')");
-  await answer(page, "0");
+  await page.click(".annotation-tools button:has-text('Accept 6')");
   await until(page, () => window.situStudio.annotation.told.items.every((a) => !a.proposed), "all are taken");
+  // of numbers, as sure as they are high: those of the threshold are taken, the others refused
+  await page.click("#tree .node[data-stream='Speech.Scores']", { button: "right" });
+  await page.click("#menu button:has-text('Propose annotations')");
+  await answer(page, "0.7");
+  const proposed = () => page.evaluate(() => window.situStudio.annotation.told.items.filter((a) => a.proposed));
+  await until(page, () => window.situStudio.annotation.told.items.some((a) => a.proposed), "proposals of numbers");
+  ok(
+    (await proposed()).every((a) => a.confidence >= 0.7 && a.confidence <= 1),
+    "their confidence is the mean of the numbers",
+  );
+  const n = (await proposed()).length;
+  await page.focus(".annotation-tools input[type=range]");
+  await page.keyboard.press("End");
+  await until(
+    page,
+    (all) =>
+      [...document.querySelectorAll(".annotation-tools button")].some((b) => b.textContent === `Reject ${all}`),
+    "the slider says how many",
+    n,
+  );
+  await page.click(`.annotation-tools button:has-text('Reject ${n}')`);
+  await until(page, () => window.situStudio.annotation.told.items.every((a) => !a.proposed), "all are refused");
+});
+
+test("10 annotation: the menu of an annotation, of its track, of all; rows for attributes", async ({
+  page,
+  shot,
+}) => {
+  await open(page, site.main, "uneven.0000");
+  // another name when it runs again: what was made stays
+  const name = `Menus ${Date.now()}`;
+  await begin(page, name);
+  await page.click(".annotation-tools button:text('Schema…')");
+  await page.click("#schema-dialog button:text('Another attribute')");
+  await page.fill("#schema-dialog input[name='attribute[1][name]']", "Mood");
+  await page.fill("#schema-dialog input[name='attribute[1][values][0][value]']", "calm");
+  await page.click("#schema-dialog button:text('Keep for other recordings')");
+  await until(page, () => document.getElementById("toast").textContent.startsWith("Kept"), "the schema is kept");
+  await page.click("#schema-dialog button:text('Save')");
+  await until(page, () => window.situStudio.annotation.rows().length === 2, "a row for each attribute");
+  const make = async (from, to) => {
+    await dispatch(page, { type: "select", from: from * S, to: to * S });
+    await page.focus("#annotation-body");
+    await page.keyboard.press("Enter");
+  };
+  await make(10, 20);
+  await make(30, 40);
+  await until(page, () => window.situStudio.annotation.told.items.length === 2, "two annotations");
+  const menu = async (t, row, item) => {
+    const { x } = await pointAt(page, "annotation-body", t * S);
+    const y = await page.$eval(
+      "#annotation-body",
+      (e, r) => e.getBoundingClientRect().top + window.situStudio.annotation.head + 13 + 26 * r,
+      row,
+    );
+    await page.mouse.click(x, y, { button: "right" });
+    await page.click(`#menu button:has-text("${item}")`);
+  };
+  await menu(15, 1, "laughs");
+  await until(page, (n) => window.situStudio.annotation.told.items[0].values[n] === "laughs", "a value", name);
+  equal(await page.evaluate(() => window.situStudio.annotation.attribute), 1, "the attribute of the row is chosen");
+  await menu(15, 0, "Join it with the next");
+  await until(page, () => window.situStudio.annotation.told.items.length === 1, "joined");
+  equal((await items(page))[0].slice(0, 2), [10 * S, 40 * S], "from the first to the last");
+  await menu(15, 0, "To another track");
+  await answer(page, "Ada");
+  await until(page, () => window.situStudio.annotation.told.items[0].track === "Ada", "moved");
+  await page.focus("#annotation-body");
+  await page.click(".annotation-tools button:text('Track…')");
+  await answer(page, "Ben");
+  await page.keyboard.press("Shift+F10");
+  await page.click("#menu button:has-text('Copy boundaries to track Ben')");
+  await answer(page, "Ada");
+  await until(page, () => window.situStudio.annotation.told.items.length === 2, "boundaries are copied");
+  equal((await items(page))[1].slice(0, 3), [10 * S, 40 * S, "Ben"], "to a track of one's own");
+  await shot("annotation-rows");
+  await page.keyboard.press("Shift+F10");
+  await page.click("#menu button:has-text('The chosen track only')");
+  await until(page, () => window.situStudio.annotation.rows().length === 2, "one track is shown");
+  await page.keyboard.press("Shift+F10");
+  await page.click("#menu button:has-text('Delete all on track Ben')");
+  await answer(page);
+  await until(page, () => window.situStudio.annotation.told.items.length === 1, "deleted");
+  await page.keyboard.press("Shift+F10");
+  await page.click("#menu button:has-text('Undo')");
+  await until(page, () => window.situStudio.annotation.told.items.length === 2, "and back");
+  // a schema that was kept, in another recording
+  await open(page, site.main, "many.0000");
+  await page.keyboard.press("a");
+  await page.fill("#annotation-new input[name=name]", `Again ${Date.now()}`);
+  await page.selectOption("#annotation-new select[name=schema]", name);
+  await page.click("#annotation-new button[type=submit]");
+  await until(page, () => window.situStudio.annotation?.told.attributes.length === 2, "it has both attributes");
 });
 
 test("10 annotation: a server that is started again has every edit", async ({ page }) => {

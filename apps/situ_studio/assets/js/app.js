@@ -8,6 +8,7 @@ import { Navigator } from "./time/navigator.js";
 import { openPanel, timeline } from "./panels/index.js";
 import { AnnotationPanel } from "./annotation/panel.js";
 import { chooseLayer, showAgreement } from "./annotation/agreement.js";
+import { copyBoundaries } from "./annotation/menu.js";
 import { rememberAnnotator } from "./annotation/annotator.js";
 import { Compare } from "./page/compare.js";
 import { Palette } from "./page/palette.js";
@@ -150,6 +151,7 @@ const hooks = {
       app.add(this.view, { timeline: true });
       this.handleEvent("annotations", (told) => this.view.tell(told));
       this.handleEvent("agreement", showAgreement);
+      this.handleEvent("annotation_tracks", ({ tracks }) => copyBoundaries(this.view, tracks));
       this.handleEvent("annotation_streams", ({ streams }) =>
         chooseLayer(streams, (other) => this.pushEvent("annotation_compare", { with: other })),
       );

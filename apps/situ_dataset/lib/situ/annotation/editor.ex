@@ -8,7 +8,7 @@ defmodule Situ.Annotation.Editor do
       iex> {:ok, _} = Editor.edit(editor, &Layer.add(&1, Situ.Annotation.new(0, 10, "P1")))
       iex> {:ok, layer} = Editor.undo(editor)
       iex> {Layer.annotations(layer), Editor.status(editor)}
-      {[], %{undo: 0, redo: 1, unsaved?: true, recovered: 0}}
+      {[], %{undo: 0, redo: 1, unsaved?: true, recovered: 0, shadowed: nil}}
       iex> {:ok, _} = Editor.redo(editor)
       iex> {:ok, folder} = Editor.save(editor)
       iex> {Path.basename(folder), Editor.status(editor).unsaved?}
@@ -26,17 +26,17 @@ defmodule Situ.Annotation.Editor do
   `{:situ_annotation, pid, transaction}` after every edit, undo and redo, and `{:situ_annotation, pid, :saved}`.
 
   Several editors of one store, each of another stream, save independently: a new version has what the others saved
-  last, also those of other operating-system processes.
+  last, also those of other operating-system processes. When another program has saved this very stream, its
+  annotations and schema are taken at the next edit (or `refresh/1`), and edits that were not saved are made on them
+  again. Where they do not fit, they stay as they are: the next save makes them the newest version, and `shadowed` in
+  `status/1` names the other program's, which stays beside it.
   """
   use GenServer
-  alias Situ.Annotation.{Journal, Layer, Recording, Schema}
+  alias Situ.Annotation.{Journal, Layer, Schema, Versions}
   alias Situ.Dataset.Version
   alias Situ.{Error, Store}
 
   @type server :: GenServer.server()
-
-  # How often a version is written again because others saved at the same moment.
-  @tries 100
 
   @doc "Starts it. Errors: those of the store, `:no_schema`, `:bad_journal`."
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
@@ -54,15 +54,17 @@ defmodule Situ.Annotation.Editor do
 
     base = if Store.exists?(path), do: Version.newest(path) || path
 
-    with {:ok, mine, others} <- stored(base, stream),
+    with {:ok, mine, others} <- Versions.stored(base, stream),
          {:ok, layer} <- if(mine, do: {:ok, mine}, else: fresh(stream, schema)),
          digest = Journal.digest(mine),
-         {:ok, transactions} <- Journal.read(journal, {base, digest}),
+         {:ok, transactions} <- Versions.unsaved(journal, {base, mine}, stream),
          {:ok, layer, undo} <- replay(layer, transactions) do
       {:ok,
        %{
          path: path,
          base: base,
+         seen: base,
+         shadowed: nil,
          stream: stream,
          digest: digest,
          others: others,
@@ -75,26 +77,6 @@ defmodule Situ.Annotation.Editor do
          subscribers: %{}
        }}
     end
-  end
-
-  # The stream, or `nil`; other streams of the store are copied into its next version.
-  defp stored(nil, _stream), do: {:ok, nil, %{}}
-
-  defp stored(folder, stream) do
-    with {:ok, store} <- Store.open(folder),
-         {:ok, layers} <- layers(store, Store.streams(store)) do
-      {mine, others} = Map.pop(layers, stream)
-      {:ok, mine, others}
-    end
-  end
-
-  defp layers(store, infos) do
-    Enum.reduce_while(infos, {:ok, %{}}, fn info, {:ok, layers} ->
-      case Recording.load(store, info) do
-        {:ok, layer} -> {:cont, {:ok, Map.put(layers, info.name, layer)}}
-        {:error, error} -> {:halt, {:error, error}}
-      end
-    end)
   end
 
   defp fresh(_stream, %Schema{} = schema), do: Layer.new(schema)
@@ -154,6 +136,10 @@ defmodule Situ.Annotation.Editor do
   @spec save(server()) :: {:ok, Path.t()} | {:error, Error.t()}
   def save(server), do: GenServer.call(server, :save, 600_000)
 
+  @doc "Takes what another program has saved meanwhile; subscribers get `{:situ_annotation, pid, :reloaded}`."
+  @spec refresh(server()) :: {:ok, Layer.t()} | {:error, Error.t()}
+  def refresh(server), do: GenServer.call(server, :refresh, 60_000)
+
   @doc "From now on the caller gets a message for each edit, until it ends."
   @spec subscribe(server()) :: :ok
   def subscribe(server), do: GenServer.call(server, :subscribe)
@@ -173,7 +159,8 @@ defmodule Situ.Annotation.Editor do
       undo: length(state.undo),
       redo: length(state.redo),
       unsaved?: state.unsaved?,
-      recovered: state.recovered
+      recovered: state.recovered,
+      shadowed: state.shadowed
     }
 
     {:reply, status, state}
@@ -184,8 +171,16 @@ defmodule Situ.Annotation.Editor do
     {:reply, :ok, %{state | subscribers: subscribers}}
   end
 
+  def handle_call(:refresh, _from, state) do
+    case current(state) do
+      {:ok, state} -> {:reply, {:ok, state.layer}, state}
+      error -> {:reply, error, state}
+    end
+  end
+
   def handle_call({:edit, fun}, _from, state) do
-    with {:ok, %Layer{}, transaction} <- edited(fun, state.layer),
+    with {:ok, state} <- current(state),
+         {:ok, %Layer{}, transaction} <- edited(fun, state.layer),
          {:ok, state} <- made(state, transaction) do
       {:reply, {:ok, state.layer}, %{state | undo: [transaction | state.undo], redo: []}}
     else
@@ -193,25 +188,28 @@ defmodule Situ.Annotation.Editor do
     end
   end
 
-  def handle_call(:undo, _from, state), do: step(state, :undo, :redo)
-  def handle_call(:redo, _from, state), do: step(state, :redo, :undo)
+  def handle_call(way, _from, state) when way in [:undo, :redo] do
+    with {:ok, state} <- current(state) do
+      if way == :undo, do: step(state, :undo, :redo), else: step(state, :redo, :undo)
+    else
+      error -> {:reply, error, state}
+    end
+  end
 
   def handle_call({:put_schema, schema, fun}, from, state) do
-    case allowed(state.layer, schema, fun) do
-      {:ok, layer} ->
-        # only what is on the disk is answered for
-        case handle_call(:save, from, %{state | layer: layer, undo: [], redo: []}) do
-          {:reply, {:ok, _}, _} = saved -> saved
-          {:reply, error, _} -> {:reply, error, state}
-        end
-
-      error ->
-        {:reply, error, state}
+    with {:ok, state} <- current(state), {:ok, layer} <- allowed(state.layer, schema, fun) do
+      # only what is on the disk is answered for
+      case handle_call(:save, from, %{state | layer: layer, undo: [], redo: []}) do
+        {:reply, {:ok, _}, _} = saved -> saved
+        {:reply, error, _} -> {:reply, error, state}
+      end
+    else
+      error -> {:reply, error, state}
     end
   end
 
   def handle_call(:save, _from, state) do
-    case write(state, @tries) do
+    case Versions.write(state) do
       {:ok, state} ->
         _ = File.rm(state.journal)
         tell(state, :saved)
@@ -222,26 +220,11 @@ defmodule Situ.Annotation.Editor do
     end
   end
 
-  # Other streams stay as they were saved last, by any program; a version saved in between is read, too.
-  defp write(state, tries) do
-    newest = Version.newest(state.path)
-
-    with {:ok, others} <- others(state, newest),
-         layers = Map.put(others, state.stream, state.layer),
-         {:ok, folder} <- Recording.write_after(layers, state.path, newest) do
-      {:ok, %{state | base: folder, others: others, digest: Journal.digest(state.layer)}}
-    else
-      {:error, %Error{code: :newer_version}} when tries > 0 -> write(state, tries - 1)
-      error -> error
+  defp current(state) do
+    with {:ok, now} <- Versions.current(state) do
+      if now.base != state.base, do: tell(now, :reloaded)
+      {:ok, now}
     end
-  end
-
-  defp others(%{base: newest} = state, newest), do: {:ok, state.others}
-
-  defp others(%{others: others}, nil), do: {:ok, others}
-
-  defp others(state, newest) do
-    with {:ok, _mine, others} <- stored(newest, state.stream), do: {:ok, others}
   end
 
   defp allowed(layer, schema, fun) do

@@ -39,6 +39,23 @@ defmodule Situ.Annotation.Journal do
     end
   end
 
+  @doc "Puts the transactions, oldest first, in the place of the journal: on another base, whole or not at all."
+  @spec rewrite(Path.t(), base(), [Layer.transaction()]) :: :ok | {:error, Error.t()}
+  def rewrite(path, base, transactions) do
+    temporary = "#{path}.#{System.pid()}-#{System.unique_integer([:positive])}.tmp"
+    lines = for t <- transactions, do: [Situ.JSON.encode(Enum.map(t, &change/1)), "\n"]
+
+    with {:ok, device} <- :file.open(temporary, [:write, :raw, :binary, :exclusive]),
+         :ok <- written(device, [Situ.JSON.encode(head(base)), "\n", lines], temporary),
+         :ok <- File.rename(temporary, path) do
+      :ok
+    else
+      {:error, error} ->
+        _ = File.rm(temporary)
+        {:error, if(is_atom(error), do: failed(path, error), else: error)}
+    end
+  end
+
   # A line that could not be written whole is taken off again: it would be damage in front of the next.
   defp written(device, line, path) do
     {:ok, before} = :file.position(device, :eof)
@@ -72,10 +89,14 @@ defmodule Situ.Annotation.Journal do
   end
 
   @doc """
-  The transactions, oldest first; none where there is no journal. One made on an older version than `base`, in which
-  the stream was another, is done with: the version was saved, and only the journal not yet removed.
+  The transactions, oldest first; none where there is no journal. `:older` where they were made on another version than
+  `base`, in which the stream was another: either they were saved, and only the journal not yet removed, or another
+  program has saved meanwhile.
   """
-  @spec read(Path.t(), base()) :: {:ok, [Layer.transaction()]} | {:error, Error.t()}
+  @spec read(Path.t(), base()) ::
+          {:ok, [Layer.transaction()]}
+          | {:older, name :: String.t() | nil, [Layer.transaction()]}
+          | {:error, Error.t()}
   def read(path, base) do
     case File.read(path) do
       {:ok, text} ->
@@ -120,7 +141,7 @@ defmodule Situ.Annotation.Journal do
         transactions(lines, path)
 
       {:ok, %{"base" => older}} when older == nil or older < base ->
-        done_with(path)
+        with {:ok, transactions} <- transactions(lines, path), do: {:older, older, transactions}
 
       {:ok, %{"base" => _}} ->
         {:error, unfit(Error.new(:other_version, "it was made on another version"))}
@@ -128,11 +149,6 @@ defmodule Situ.Annotation.Journal do
       _ ->
         {:error, damaged(path, 1)}
     end
-  end
-
-  defp done_with(path) do
-    _ = File.rm(path)
-    {:ok, []}
   end
 
   defp transactions(lines, path) do

@@ -133,11 +133,19 @@ defmodule Situ.Annotation.Recording do
   defp draft(layers, path) do
     options = [durability: :each, versioned: false]
 
-    with {:ok, writer} <- Store.Writer.create(Path.basename(path), Version.draft(path), options) do
-      case fill(writer, Enum.sort(layers)) do
-        :ok -> {:ok, writer.path}
-        {:error, error} -> give_up(writer, error)
-      end
+    place = Version.draft(path)
+
+    with {:ok, writer} <- Store.Writer.create(Path.basename(path), place, options),
+         {:filled, _, :ok} <- {:filled, writer, fill(writer, Enum.sort(layers))} do
+      {:ok, writer.path}
+    else
+      {:filled, writer, {:error, error}} ->
+        give_up(writer, error)
+
+      {:error, error} ->
+        # of a disk without room not even the folder stays
+        Version.discard(place)
+        {:error, error}
     end
   end
 

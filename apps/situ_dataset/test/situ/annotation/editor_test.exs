@@ -159,6 +159,88 @@ defmodule Situ.Annotation.EditorTest do
     assert {spans(Editor.layer(editor)), Editor.status(editor).recovered} == {[{0, 10}], 0}
   end
 
+  describe "another program saves the same stream meanwhile" do
+    defp by_another(path, spans, schema \\ schema()) do
+      {:ok, layer} = Layer.new(schema, for({a, b} <- spans, do: Situ.Annotation.new(a, b, "A")))
+      {:ok, folder} = Recording.write(layer, path, "Speech")
+      folder
+    end
+
+    test "without edits of one's own its annotations are taken", %{path: path} do
+      editor = start(path)
+      {:ok, _} = add(editor, 0, 10)
+      {:ok, _} = Editor.save(editor)
+      :ok = Editor.subscribe(editor)
+      by_another(path, [{0, 10}, {20, 30}])
+      {:ok, layer} = Editor.refresh(editor)
+      assert spans(layer) == [{0, 10}, {20, 30}]
+      assert_receive {:situ_annotation, ^editor, :reloaded}
+      assert %{undo: 0, unsaved?: false, shadowed: nil} = Editor.status(editor)
+    end
+
+    test "edits that were not saved are made on them again, also after a crash", ctx do
+      Process.flag(:trap_exit, true)
+      editor = start(ctx.path)
+      {:ok, _} = add(editor, 0, 10)
+      {:ok, _} = Editor.save(editor)
+      {:ok, _} = add(editor, 40, 50)
+      {:ok, layer} = Editor.edit(editor, &Layer.remove(&1, 1))
+      assert spans(layer) == [{40, 50}]
+      # its numbers for them are others
+      by_another(ctx.path, [{60, 70}, {20, 30}, {0, 10}])
+      {:ok, layer} = add(editor, 80, 90)
+      assert spans(layer) == [{20, 30}, {40, 50}, {60, 70}, {80, 90}]
+      assert %{undo: 3, unsaved?: true} = Editor.status(editor)
+      Process.exit(editor, :kill)
+      assert_receive {:EXIT, ^editor, :killed}
+      editor = start(ctx.path)
+      assert spans(Editor.layer(editor)) == [{20, 30}, {40, 50}, {60, 70}, {80, 90}]
+      {:ok, layer} = Editor.undo(editor)
+      assert spans(layer) == [{20, 30}, {40, 50}, {60, 70}]
+      {:ok, _} = Editor.save(editor)
+      assert stored(ctx.path, "Speech") == [{20, 30}, {40, 50}, {60, 70}]
+    end
+
+    test "while the editor is away, its edits wait and are made then", ctx do
+      Process.flag(:trap_exit, true)
+      editor = start(ctx.path)
+      {:ok, _} = add(editor, 0, 10)
+      {:ok, _} = Editor.save(editor)
+      {:ok, _} = add(editor, 40, 50)
+      Process.exit(editor, :kill)
+      assert_receive {:EXIT, ^editor, :killed}
+      by_another(ctx.path, [{0, 10}, {20, 30}])
+      editor = start(ctx.path)
+      assert spans(Editor.layer(editor)) == [{0, 10}, {20, 30}, {40, 50}]
+      assert %{recovered: 1, unsaved?: true} = Editor.status(editor)
+    end
+
+    test "edits that do not fit stay, and the other version is named", ctx do
+      editor = start(ctx.path)
+      {:ok, _} = add(editor, 0, 10)
+      {:ok, _} = Editor.save(editor)
+      {:ok, _} = add(editor, 20, 30)
+      theirs = by_another(ctx.path, [{25, 40}])
+      {:ok, layer} = add(editor, 50, 60)
+      assert spans(layer) == [{0, 10}, {20, 30}, {50, 60}]
+      assert Editor.status(editor).shadowed == theirs
+      {:ok, folder} = Editor.save(editor)
+      assert folder > theirs
+      assert stored(ctx.path, "Speech") == [{0, 10}, {20, 30}, {50, 60}]
+      {:ok, layer} = Recording.load(Store.open!(theirs), "Speech")
+      assert spans(layer) == [{25, 40}]
+    end
+
+    test "another schema is taken with the annotations", %{path: path} do
+      editor = start(path)
+      {:ok, _} = add(editor, 0, 10)
+      {:ok, _} = Editor.save(editor)
+      by_another(path, [{0, 10}], Situ.Annotation.Schema.text("Words"))
+      {:ok, layer} = Editor.refresh(editor)
+      assert [%{name: "Words", kind: :text}] = layer.schema.attributes
+    end
+  end
+
   test "a damaged journal is told, not guessed at", %{path: path, journal: journal} do
     File.write!(journal, ~s({"base": null}\nnonsense\n[]\n))
 

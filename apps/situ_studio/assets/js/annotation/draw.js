@@ -10,8 +10,9 @@ function colorOf(a, attribute) {
   return own ?? stateColor(String(value ?? ""), value === true ? "true" : "state");
 }
 
-// x(t) tells where a time is; `panel`: which attribute is shown and which annotation is chosen.
-export function drawOne(ctx, a, x, y, { told, attribute: nth, selected }) {
+// x(t) tells where a time is; then which attribute is shown, which annotation is chosen, and of which confidence
+// proposals are at least that would be accepted.
+export function drawOne(ctx, a, x, y, { told, attribute: nth, selected, least = 0 }) {
   const attribute = told.attributes[nth];
   const c = theme(),
     color = colorOf(a, attribute);
@@ -24,7 +25,8 @@ export function drawOne(ctx, a, x, y, { told, attribute: nth, selected }) {
     ctx.arc(left, y + ROW / 2, 4, 0, 2 * Math.PI);
     ctx.fill();
   } else {
-    ctx.globalAlpha = a.proposed ? 0.18 : a.pending ? 0.5 : 0.85;
+    const doubtful = a.proposed && (a.confidence ?? 1) < least;
+    ctx.globalAlpha = doubtful ? 0.05 : a.proposed ? 0.22 : a.pending ? 0.5 : 0.85;
     ctx.fillRect(left, y + 3, width, ROW - 6);
     ctx.globalAlpha = 1;
     if (a.proposed) {

@@ -1,19 +1,18 @@
 // The panel where annotations are made and changed: a row a track, on the time axis of the others.
 
-import { fitted } from "../page/gutter.js";
 import { GUTTER, FONT, theme } from "../page/theme.js";
 import { tip } from "../page/tip.js";
 import { toast } from "../page/toast.js";
-import { rulerTicks, shown } from "../time/clock.js";
-import { duration } from "../time/text.js";
+import { rulerTicks } from "../time/clock.js";
 import { ROW, drawOne } from "./draw.js";
 import { annotator } from "./annotator.js";
 import { KeyState } from "./keys.js";
+import { dragEdge, near, words } from "./mouse.js";
+import { drawName, nameOf, rowsOf } from "./rows.js";
 import { typed } from "./commands.js";
 import { Spatial } from "./spatial.js";
 import { Tools } from "./tools.js";
 
-const NEAR = 5;
 const FIRST = "1";
 
 export class AnnotationPanel {
@@ -25,6 +24,7 @@ export class AnnotationPanel {
     this.keys = new KeyState();
     this.track = FIRST;
     this.attribute = 0;
+    this.shownTracks = "all";
     this.spatial = new Spatial(this);
     this.tools = new Tools(el, this);
     this.observer = new ResizeObserver(() => this.resize());
@@ -48,23 +48,30 @@ export class AnnotationPanel {
     if (this.app.client.origin === null) return (this.early = told);
     this.told = { ...told, items: told.items.map((a) => ({ ...a, from: rel(a.from), to: rel(a.to) })) };
     this.keys.learn(told.attributes);
+    if (told.shadowed && told.shadowed !== this.shadowed)
+      toast(`Another program has saved other annotations; they stay in ${told.shadowed}`);
+    this.shadowed = told.shadowed;
     if (told.recovered && !this.welcomed) toast(`${told.recovered} unsaved edits were restored`);
     this.welcomed = true;
     if (!this.tracks().includes(this.track)) this.track = this.tracks()[0];
     if (this.selected && !this.item()) this.selected = null;
-    this.app.gutter.need(this, this.tracks());
+    if (this.attribute >= told.attributes.length) this.attribute = 0;
+    this.app.gutter.need(
+      this,
+      this.rows().map((r) => this.rowName(r)),
+    );
     this.tools.update();
     this.grow();
     this.shown();
   }
 
-  // The tools take as many rows as they need; below them is a row a track.
+  // The tools take as many lines as they need; below them are the rows.
   get head() {
     return this.tools.height;
   }
 
   grow() {
-    const flex = `0 0 ${this.head + this.tracks().length * ROW + 10}px`;
+    const flex = `0 0 ${this.head + this.rows().length * ROW + 10}px`;
     const { parentElement: box } = this.el;
     if (box.style.flex === flex) return;
     box.style.flex = flex;
@@ -86,6 +93,31 @@ export class AnnotationPanel {
     const names = new Set(this.told.tracks);
     names.add(this.track);
     return [...names].sort();
+  }
+
+  rows() {
+    const { told, track, attribute, shownTracks: shown } = this;
+    const spatial = this.spatial.kind != null;
+    return rowsOf({ told, track, attribute, shown, spatial, tracks: this.tracks() }, this.app.time.get().view);
+  }
+
+  rowName(row) {
+    const several = this.spatial.kind == null && this.told.attributes.length > 1;
+    return nameOf(row, this.told.attributes, several);
+  }
+
+  showTracks(shown) {
+    this.shownTracks = shown;
+    this.grow();
+    this.app.schedule(this);
+  }
+
+  // The next number that no track has.
+  freeTrack() {
+    const taken = new Set(this.tracks());
+    let n = 1;
+    while (taken.has(String(n))) n++;
+    return String(n);
   }
 
   item(id = this.selected) {
@@ -130,8 +162,8 @@ export class AnnotationPanel {
     const { view } = this.app.time.get();
     const px = (view[1] - view[0]) / (box.width - GUTTER.left - GUTTER.right);
     const t = view[0] + (e.clientX - box.left - GUTTER.left) * px;
-    const track = this.tracks()[Math.floor((e.clientY - box.top - this.head) / ROW)] ?? null;
-    return { t, px, track };
+    const row = this.rows()[Math.floor((e.clientY - box.top - this.head) / ROW)];
+    return { t, px, track: row?.track ?? null, attribute: row?.attribute ?? null };
   }
 
   // The annotation under the mouse, and its edge where that is near: {item, edge}.
@@ -139,7 +171,7 @@ export class AnnotationPanel {
     const { t, px, track } = this.place(e);
     const own = this.told.items.filter((a) => a.track === track);
     for (const edge of ["to", "from"]) {
-      const item = own.find((a) => Math.abs(a[edge] - t) < NEAR * px);
+      const item = own.find((a) => Math.abs(a[edge] - t) < near(e) * px);
       if (item) return { item, edge };
     }
     return { item: own.find((a) => a.from <= t && t <= a.to) ?? null, edge: null };
@@ -148,62 +180,27 @@ export class AnnotationPanel {
   down(e) {
     if (e.button !== 0 || e.target.closest(".annotation-tools")) return;
     this.el.focus({ preventScroll: true });
-    const { track } = this.place(e);
+    const { item, edge } = this.choose(e);
+    if (edge) dragEdge(this, e, item, edge);
+  }
+
+  // The track, attribute and annotation under the mouse.
+  choose(e) {
+    const { track, attribute } = this.place(e);
+    const found = this.at(e);
     if (track !== null) this.track = track;
-    const { item, edge } = this.at(e);
-    this.selected = item?.id ?? null;
+    if (attribute !== null) this.attribute = attribute;
+    this.selected = found.item?.id ?? null;
     this.tools.update();
     this.app.schedule(this);
-    if (edge) this.dragEdge(e, item, edge);
-  }
-
-  // An edge follows the mouse; what touches it goes along, but with the Alt key. It snaps to changes of the other
-  // panels.
-  dragEdge(e, item, edge) {
-    e.stopImmediatePropagation();
-    this.el.setPointerCapture(e.pointerId);
-    const move = (m) => {
-      const { t, px } = this.place(m);
-      this.drag = { id: item.id, edge, t: m.shiftKey ? t : this.snapped(t, px * NEAR, item.id) };
-      this.app.schedule(this);
-    };
-    const up = (m) => {
-      this.el.removeEventListener("pointermove", move);
-      const { drag } = this;
-      this.drag = null;
-      if (drag) this.moveEdge(item, edge, drag.t, m.altKey);
-    };
-    this.el.addEventListener("pointermove", move);
-    this.el.addEventListener("pointerup", up, { once: true });
-  }
-
-  snapped(t, near, id) {
-    let best = t,
-      least = near;
-    const own = this.told.items.filter((a) => a.id !== id).flatMap((a) => [a.from, a.to]);
-    const others = [...this.app.views].filter((v) => v !== this).flatMap((v) => v.changes?.() ?? []);
-    for (const c of [...own, ...others]) if (Math.abs(c - t) < least) [best, least] = [c, Math.abs(c - t)];
-    return best;
+    return found;
   }
 
   hover(e) {
     if (e.buttons) return tip(this, []);
     const { item, edge } = this.at(e);
     this.el.style.cursor = edge ? "ew-resize" : "";
-    tip(this, item ? this.words(item) : [], e.clientX, e.clientY);
-  }
-
-  words(a) {
-    const show = (t) => shown(t, this.app.client.origin);
-    const values = Object.entries(a.values).map(([name, v]) => `${name}: ${v}`);
-    const about = [
-      a.proposed ? "proposed" : "",
-      a.by ? `by ${a.by}` : "",
-      a.confidence != null ? `confidence ${a.confidence}` : "",
-    ];
-    const when =
-      a.to === a.from ? `at ${show(a.from)}` : `${show(a.from)} to ${show(a.to)}, ${duration(a.to - a.from)}`;
-    return [`${a.track}   ${when}`, ...values, about.filter(Boolean).join(", "), a.note ?? ""].filter(Boolean);
+    tip(this, item ? words(item, this.app.client.origin) : [], e.clientX, e.clientY);
   }
 
   segment(e) {
@@ -245,33 +242,26 @@ export class AnnotationPanel {
     ctx.clearRect(0, 0, w, h);
     ctx.font = FONT;
     ctx.textBaseline = "middle";
-    this.tracks().forEach((track, i) => this.name(ctx, track, head + i * ROW));
+    const rows = this.rows();
+    if (this.shownTracks === "view") this.grow();
+    rows.forEach((r, i) =>
+      drawName(ctx, this.rowName(r), head + i * ROW, { chosen: r.track === this.track, first: r.first }),
+    );
     ctx.save();
     ctx.beginPath();
     ctx.rect(GUTTER.left, head - 2, inner, h);
     ctx.clip();
     ctx.fillStyle = c.grid;
     for (const t of rulerTicks(view, inner, this.app.client.origin).at) ctx.fillRect(Math.round(x(t)), head, 1, h);
-    this.tracks().forEach((track, i) => {
-      for (const a of this.told.items) if (a.track === track) drawOne(ctx, this.dragged(a), x, head + i * ROW, this);
+    rows.forEach(({ track, attribute }, i) => {
+      const look = { told: this.told, attribute, selected: this.selected, least: this.tools.least };
+      for (const a of this.told.items) if (a.track === track) drawOne(ctx, this.dragged(a), x, head + i * ROW, look);
       if (track !== this.track) return;
       for (const p of this.keys.pending(cursor))
-        drawOne(ctx, { ...p, track, pending: true }, x, head + i * ROW, this);
+        drawOne(ctx, { ...p, track, pending: true }, x, head + i * ROW, look);
     });
     ctx.restore();
     this.drawn = (this.drawn ?? 0) + 1;
-  }
-
-  name(ctx, track, y) {
-    const c = theme();
-    if (track === this.track) {
-      ctx.fillStyle = c.accent;
-      ctx.fillRect(0, y + 3, 3, ROW - 6);
-    }
-    ctx.textAlign = "right";
-    ctx.fillStyle = track === this.track ? c.text : c.axis;
-    ctx.fillText(fitted(ctx, track, GUTTER.left - 14), GUTTER.left - 6, y + ROW / 2);
-    ctx.textAlign = "left";
   }
 
   dragged(a) {

@@ -28,8 +28,16 @@ export class Tools {
     this.button("Schema…", "Attributes, values, their keys and colours", () => this.ask("annotation_schema"));
     this.button("Agreement…", "How far this and another layer agree", () => this.ask("annotation_streams"));
     this.who = this.button("", "Whose name what is made bears", () => this.name());
-    this.accept = this.button("Accept", "Accept the chosen proposal, or all", () => this.settle("accept"));
-    this.reject = this.button("Reject", "Reject the chosen proposal, or all", () => this.settle("reject"));
+    // proposals at and above a confidence are accepted, those below it rejected; it is seen while it is moved
+    this.threshold = this.part("input", "Least confidence of proposals that are accepted");
+    Object.assign(this.threshold, { type: "range", min: 0, max: 1, step: 0.01, value: 0 });
+    this.threshold.title = "Least confidence of proposals that are accepted";
+    this.threshold.addEventListener("input", () => {
+      this.update();
+      panel.app.schedule(panel);
+    });
+    this.accept = this.button("Accept", "", () => this.settle("accept"));
+    this.reject = this.button("Reject", "", () => this.settle("reject"));
     this.undo = this.button("Undo", "Take back the last edit (Ctrl+Z)", () => panel.push("undo"));
     this.redo = this.button("Redo", "Make it again (Ctrl+Shift+Z)", () => panel.push("redo"));
     this.save = this.button("Save", "Write a new version of the annotations", () => panel.push("save"));
@@ -96,12 +104,35 @@ export class Tools {
     if (item && document.activeElement !== this.note) this.note.value = item.note ?? "";
     if (item && document.activeElement !== this.confidence) this.confidence.value = item.confidence ?? "";
     this.who.textContent = annotator() ? `as ${annotator()}` : "as nobody";
-    const proposed = told.items.some((a) => a.proposed);
-    this.accept.hidden = this.reject.hidden = !proposed;
+    this.proposals(told, item);
     this.undo.disabled = !told.undo;
     this.redo.disabled = !told.redo;
     this.save.textContent = told.unsaved ? "Save •" : "Saved";
     this.save.disabled = !told.unsaved;
+  }
+
+  get least() {
+    return Number(this.threshold.value);
+  }
+
+  // How many each button is about: the chosen proposal, those of the confidence, or all.
+  proposals(told, item) {
+    const all = told.items.filter((a) => a.proposed);
+    this.threshold.hidden = this.accept.hidden = this.reject.hidden = !all.length;
+    this.threshold.disabled = !all.some((a) => a.confidence != null);
+    if (!all.length || this.threshold.disabled) this.threshold.value = 0;
+    const sure = all.filter((a) => (a.confidence ?? 1) >= this.least).length;
+    const below = this.least > 0 ? all.length - sure : all.length;
+    const one = item?.proposed;
+    this.threshold.setAttribute("aria-valuetext", `${this.least}: ${sure} of ${all.length} proposals`);
+    this.accept.textContent = one ? "Accept this" : `Accept ${sure}`;
+    this.reject.textContent = one ? "Reject this" : `Reject ${below}`;
+    this.accept.title = one
+      ? "Accept the chosen proposal"
+      : `Accept the proposals of at least confidence ${this.least}`;
+    this.reject.title = one ? "Reject the chosen proposal" : "Reject the proposals below the confidence, or all";
+    this.accept.disabled = !one && sure === 0;
+    this.reject.disabled = !one && below === 0;
   }
 
   // The values: a click sets the chosen annotation's, or makes one of the selection.
@@ -160,15 +191,10 @@ export class Tools {
     panel.tell({ ...panel.raw });
   }
 
-  async settle(how) {
+  settle(how) {
     const item = this.panel.item();
     if (item?.proposed) return this.panel.push(how === "accept" ? "accept" : "remove", { id: item.id });
-    const [title, value] =
-      how === "accept"
-        ? ["Accept proposals of at least this confidence", "0"]
-        : ["Reject proposals below this confidence", "1"];
-    const said = await ask({ title, value, type: "number" });
-    if (said && said.text.trim() && Number.isFinite(Number(said.text)))
-      this.panel.push(`${how}_all`, { least: Number(said.text) });
+    const { least } = this;
+    this.panel.push(`${how}_all`, how === "reject" && least === 0 ? { all: true } : { least });
   }
 }

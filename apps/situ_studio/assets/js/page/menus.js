@@ -4,12 +4,15 @@ import { GUTTER } from "./theme.js";
 import { copy } from "./toast.js";
 import { drawable, savePicture, saveVector } from "./picture_file.js";
 import { commands } from "./commands.js";
+import { ask } from "./ask.js";
+import { annotationItems } from "../annotation/menu.js";
 
 export function menuItems(app, target, event) {
   const node = target.closest(".node[data-stream]");
   if (node) return streamItems(app, node);
   const group = target.closest(".node[data-group]");
   if (group) return groupItems(app, group);
+  if (target.closest("#annotation")) return annotationItems(app, event);
   const legend = target.closest(".legend-item");
   const panel = target.closest("[data-panel]");
   if (panel) return panelItems(app, panel, legend, event);
@@ -23,6 +26,23 @@ export function menuItems(app, target, event) {
     ];
   }
   return null;
+}
+
+// Streams that say what is the case, or how likely (`Situ.Studio.Annotating.Proposals`).
+const PROPOSING = ["boolean", "state", "states", "text", "spans", "signal", "signals"];
+
+async function propose(app, stream, shape) {
+  let threshold;
+  if (shape === "signal" || shape === "signals") {
+    const said = await ask({
+      title: `Propose annotations where ${stream} is at least`,
+      value: "0.5",
+      type: "number",
+    });
+    if (!said || !said.text.trim()) return;
+    threshold = Number(said.text);
+  }
+  app.options.push?.("annotation_propose", { stream, threshold });
 }
 
 // Panels that take more than one stream, as `Situ.Studio.Layout` joins them.
@@ -51,8 +71,8 @@ function streamItems(app, node) {
     { text: "Properties", run: () => push("select", { path: stream }) },
     { text: "Zoom to it", run: () => push("zoom_stream") },
     { text: app.client.snap === stream ? "Release the cursor" : "Snap the cursor to it", run: () => push("snap") },
-    ...(app.annotation && ["boolean", "states", "spans"].includes(shape)
-      ? [{ text: "Propose annotations from it", run: () => push("annotation_propose") }]
+    ...(app.annotation && PROPOSING.includes(shape)
+      ? [{ text: "Propose annotations from it", run: () => propose(app, stream, shape) }]
       : []),
     "-",
     ...folding(app, node),

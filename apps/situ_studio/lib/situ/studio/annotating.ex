@@ -16,8 +16,8 @@ defmodule Situ.Studio.Annotating do
   """
   alias Situ.{Annotation, Error}
   alias Situ.Annotation.{Edit, Editor, Layer, Schema}
-  alias Situ.Studio.Annotating.{SchemaForm, Shelf}
-  alias Situ.Studio.{Catalog, WholeNumber}
+  alias Situ.Studio.Annotating.{Proposals, Request, SchemaForm, Shelf}
+  alias Situ.Studio.Catalog
 
   @most 20_000
 
@@ -111,7 +111,8 @@ defmodule Situ.Studio.Annotating do
       undo: status.undo,
       redo: status.redo,
       unsaved: status.unsaved?,
-      recovered: status.recovered
+      recovered: status.recovered,
+      shadowed: status.shadowed && Path.basename(status.shadowed)
     }
   end
 
@@ -142,87 +143,12 @@ defmodule Situ.Studio.Annotating do
   def edit(editor, %{"do" => "save"}), do: done(Editor.save(editor))
 
   def edit(editor, %{"do" => name} = params),
-    do: done(Editor.edit(editor, &change(name, &1, params)))
+    do: done(Editor.edit(editor, &Request.change(name, &1, params)))
 
   def edit(_, _), do: bad()
 
   defp done({:ok, _}), do: :ok
   defp done(error), do: error
-
-  defp change("add", layer, %{"from" => from, "to" => to, "track" => track} = params) do
-    with {:ok, from} <- time(from),
-         {:ok, to} <- time(to),
-         {:ok, track} <- name(track) do
-      values = values(params["values"])
-      by = by(params["by"])
-      Layer.add(layer, Annotation.new(min(from, to), max(from, to), track, values, by: by))
-    end
-  end
-
-  # A key frame: the place of a box or a point at one moment; it replaces an earlier one there.
-  defp change("key_frame", layer, %{"at" => at, "track" => track} = params) do
-    with {:ok, at} <- time(at), {:ok, track} <- name(track) do
-      values = values(params["values"])
-
-      case Enum.find(Layer.on_track(layer, track), &(&1.from == at and &1.to == at)) do
-        nil -> Layer.add(layer, Annotation.new(at, at, track, values, by: by(params["by"])))
-        old -> Layer.change(layer, old.id, values: Map.merge(old.values, values))
-      end
-    end
-  end
-
-  defp change("interval", layer, %{"id" => id, "from" => from, "to" => to}) do
-    with {:ok, id} <- id(id),
-         {:ok, from} <- time(from),
-         {:ok, to} <- time(to),
-         do: Edit.set_interval(layer, id, {min(from, to), max(from, to)})
-  end
-
-  defp change("confidence", layer, %{"id" => id, "confidence" => confidence})
-       when confidence == nil or (is_number(confidence) and confidence >= 0 and confidence <= 1),
-       do:
-         with(
-           {:ok, id} <- id(id),
-           do: Layer.change(layer, id, confidence: confidence && confidence / 1)
-         )
-
-  defp change("delete_track", layer, %{"track" => track}),
-    do: Edit.delete_track(layer, to_string(track))
-
-  defp change("edge", layer, %{"id" => id, "edge" => edge, "to" => to} = params)
-       when edge in ["from", "to"] do
-    edge = if edge == "from", do: :from, else: :to
-
-    with {:ok, id} <- id(id),
-         {:ok, to} <- time(to),
-         do: Edit.move_edge(layer, id, edge, to, alone: params["alone"] == true)
-  end
-
-  defp change("remove", layer, %{"id" => id}),
-    do: with({:ok, id} <- id(id), do: Layer.remove(layer, id))
-
-  defp change("value", layer, %{"id" => id, "attribute" => attribute, "value" => value}),
-    do: with({:ok, id} <- id(id), do: Layer.set_value(layer, id, to_string(attribute), value))
-
-  defp change("split", layer, %{"id" => id, "at" => at}),
-    do: with({:ok, id} <- id(id), {:ok, at} <- time(at), do: Edit.split(layer, id, at))
-
-  defp change("merge", layer, %{"id" => id, "with" => other}),
-    do: with({:ok, id} <- id(id), {:ok, other} <- id(other), do: Edit.merge(layer, id, other))
-
-  defp change("note", layer, %{"id" => id, "note" => note}) when is_binary(note),
-    do: with({:ok, id} <- id(id), do: Layer.change(layer, id, note: String.slice(note, 0, 2_000)))
-
-  defp change("accept", layer, %{"id" => id}),
-    do: with({:ok, id} <- id(id), do: Layer.accept(layer, id))
-
-  defp change("accept_all", layer, params), do: Edit.accept_all(layer, least(params["least"]))
-  defp change("reject_all", layer, params), do: Edit.reject_all(layer, least(params["least"]))
-
-  defp change("rename_track", layer, %{"track" => from, "name" => to}),
-    do: with({:ok, to} <- name(to), do: Edit.rename_track(layer, to_string(from), to))
-
-  defp change(_, _, _), do: bad()
 
   @doc """
   Gives a stream of annotations another schema: what the page has edited. Annotations follow what was renamed; a value
@@ -247,52 +173,41 @@ defmodule Situ.Studio.Annotating do
     %{annotation | values: Map.take(values, names)}
   end
 
-  @doc "Proposals out of a stream's segments (`Situ.Studio.Draw.Segments`): what is true, a track for each lane."
-  @spec propose(pid(), [tuple()], String.t()) :: :ok | {:error, Error.t()}
-  def propose(editor, segments, stream) do
+  @doc """
+  Proposals out of a stream's intervals, a track for each lane: `{:ok, how_many}`. A state or a text that the schema
+  knows is the value; one that it does not know is no proposal. Those that overlap with annotations are left out.
+  """
+  @spec propose(pid(), [Proposals.t()], String.t()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def propose(editor, found, stream) do
     short = stream |> String.split(".") |> List.last()
+    before = editor |> Editor.layer() |> Layer.annotations() |> length()
 
-    done(
-      Editor.edit(editor, fn layer ->
-        values = Schema.defaults(layer.schema)
+    edit = fn layer ->
+      proposals =
+        for one <- found, values = proposed(layer.schema, one.label) do
+          track = if one.lane == "", do: short, else: one.lane
+          more = [proposed?: true, by: stream, confidence: one.confidence]
+          Annotation.new(one.from, one.to, track, values, more)
+        end
 
-        proposals =
-          for {from, to, _, class, lane} <- segments, class in ["true", "span"], to != nil do
-            track = if lane == "", do: short, else: lane
-            Annotation.new(from, to, track, values, proposed?: true, by: stream)
-          end
+      Edit.propose(layer, proposals)
+    end
 
-        Edit.propose(layer, proposals)
-      end)
-    )
+    with {:ok, layer} <- Editor.edit(editor, edit),
+         do: {:ok, length(Layer.annotations(layer)) - before}
   end
 
-  defp by(name) do
-    case name(name) do
-      {:ok, name} -> name
-      _ -> nil
+  defp proposed(schema, ""), do: Schema.defaults(schema)
+
+  defp proposed(%{attributes: attributes} = schema, label) do
+    known = Enum.find(attributes, fn a -> Enum.any?(a.values, &(&1.value == label)) end)
+
+    case known || Enum.find(attributes, &(&1.kind == :text)) do
+      nil -> nil
+      attribute -> Map.put(Schema.defaults(schema), attribute.name, label)
     end
   end
-
-  defp values(%{} = values), do: Map.filter(values, fn {key, _} -> is_binary(key) end)
-  defp values(_), do: %{}
-
-  defp time(text) do
-    with :error <- WholeNumber.parse(text), do: bad()
-  end
-
-  defp id(id) when is_integer(id), do: {:ok, id}
-  defp id(_), do: bad()
-
-  defp name(name) when is_binary(name) do
-    name = name |> String.trim() |> String.slice(0, 60)
-    if name == "", do: bad(), else: {:ok, name}
-  end
-
-  defp name(_), do: bad()
-
-  defp least(x) when is_number(x) and x >= 0 and x <= 1, do: x / 1
-  defp least(_), do: 0.0
 
   defp bad, do: {:error, Error.new(:bad_request, "not an edit of annotations")}
 end

@@ -147,8 +147,15 @@ defmodule Situ.Studio.AnnotatingTest do
 
   test "segments of a stream become proposals", %{studio: studio, path: path, schema: schema} do
     {:ok, editor} = Annotating.open(studio, path, "Speech", schema)
-    segments = [{0, 5, "true", "true", "Ada"}, {5, 9, "false", "false", "Ada"}]
-    :ok = Annotating.propose(editor, segments, "Vad.Speaking")
+    one = &%{from: &1, to: &2, lane: &3, label: &4, confidence: &5}
+
+    found = [
+      one.(0, 5, "Ada", "", 0.6),
+      one.(2, 3, "Ada", "", 0.9),
+      one.(7, 9, "Ada", "unknown", nil)
+    ]
+
+    assert {:ok, 1} = Annotating.propose(editor, found, "Vad.Speaking")
 
     assert [%{proposed: true, track: "Ada", by: "Vad.Speaking"}] =
              Annotating.told(editor, "Speech").items

@@ -40,6 +40,8 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Draw.Key
   doctest Situ.Studio.NaturalOrder
   doctest Situ.Studio.Annotating.Shelf
+  doctest Situ.Studio.Annotating.Proposals
+  doctest Situ.Studio.Annotating.Schemas
   doctest Situ.Studio.Annotating.SchemaForm
   doctest Situ.Studio.Annotating.Comparison
   doctest Situ.Studio.Finding

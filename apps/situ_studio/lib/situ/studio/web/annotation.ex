@@ -5,10 +5,10 @@ defmodule Situ.Studio.Web.Annotation do
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
-  alias Situ.Annotation.Editor
+  alias Situ.Annotation.{Editor, Layer}
   alias Situ.Live.Socket
-  alias Situ.Studio.Annotating.{Comparison, SchemaForm, Shelf}
-  alias Situ.Studio.{Annotating, Draw, Source, Visualizers}
+  alias Situ.Studio.Annotating
+  alias Situ.Studio.Annotating.{Comparison, Proposals, SchemaForm, Schemas, Shelf}
   alias Situ.Studio.Web.SchemaDialog
 
   @doc "Whether there is something on disk to annotate, and it is allowed."
@@ -37,8 +37,10 @@ defmodule Situ.Studio.Web.Annotation do
          )}
   end
 
-  defp event("annotation_dialog", _, socket),
-    do: assign(socket, dialog: {:annotation, Shelf.streams(socket.assigns.item.path)})
+  defp event("annotation_dialog", _, socket) do
+    %{item: %{path: path}, layout_dir: layouts} = socket.assigns
+    assign(socket, dialog: {:annotation, Shelf.streams(path), Schemas.names(layouts)})
+  end
 
   defp event("annotation_open", %{"stream" => stream}, socket) when is_binary(stream),
     do: socket |> assign(dialog: nil) |> open(stream, nil)
@@ -46,7 +48,7 @@ defmodule Situ.Studio.Web.Annotation do
   defp event("annotation_new", %{"name" => name, "values" => values} = params, socket)
        when is_binary(name) and is_binary(values) do
     with name when name != "" <- name |> String.trim() |> String.slice(0, 60),
-         {:ok, schema} <- schema(params["kind"], name, String.slice(values, 0, 4_000)) do
+         {:ok, schema} <- chosen(params, name, String.slice(values, 0, 4_000), socket.assigns) do
       socket |> assign(dialog: nil) |> open(layer(name, params["by"]), schema)
     else
       "" -> toast(socket, "The annotations need a name")
@@ -106,6 +108,19 @@ defmodule Situ.Studio.Web.Annotation do
     end
   end
 
+  # For the annotations of other recordings.
+  defp event("annotation_schema_keep", _, %{assigns: %{dialog: {:schema, draft, _}}} = socket) do
+    with %{editor: editor} <- socket.assigns.annotation,
+         name = Editor.layer(editor).schema.name,
+         {:ok, schema, _} <- SchemaForm.schema(name, draft),
+         :ok <- Schemas.keep(socket.assigns.layout_dir, schema) do
+      toast(socket, "Kept for other recordings as #{name}")
+    else
+      {:error, error} -> assign(socket, dialog: {:schema, draft, Exception.message(error)})
+      nil -> socket
+    end
+  end
+
   # A comment on a time or a range: a stream of texts like any other. Where two overlap the later is a row below.
   defp event("annotation_marker", %{"from" => from, "to" => to, "text" => text} = params, socket)
        when is_binary(text) do
@@ -147,13 +162,51 @@ defmodule Situ.Studio.Web.Annotation do
   defp event("annotation_close", _, socket), do: assign(socket, annotation: nil)
   defp event("annotation_ready", _, socket), do: tell(socket)
 
-  defp event("annotation_propose", %{"stream" => stream}, %{assigns: %{annotation: %{}}} = socket)
+  # A stream may be long: the page goes on meanwhile.
+  defp event(
+         "annotation_propose",
+         %{"stream" => stream} = params,
+         %{assigns: %{annotation: %{editor: editor}}} = socket
+       )
        when is_binary(stream) do
-    %{source: source, annotation: annotation, shapes: shapes} = socket.assigns
+    %{source: source, shapes: shapes} = socket.assigns
+    threshold = if is_number(params["threshold"]), do: params["threshold"], else: 0.5
+    page = self()
 
-    with {:ok, extent} <- Source.call(source, :extent, []),
-         {:ok, segments} <- segments(source, stream, shapes[stream], extent),
-         :ok <- Annotating.propose(annotation.editor, segments, stream) do
+    Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
+      with {:ok, found} <- Proposals.of(source, stream, shapes[stream], threshold) do
+        send(page, {:proposed, Annotating.propose(editor, found, stream)})
+      else
+        error -> send(page, {:proposed, error})
+      end
+    end)
+
+    toast(socket, "Looking through #{stream} ...")
+  end
+
+  # Tracks of all layers, whose boundaries can be copied.
+  defp event("annotation_tracks", _, %{assigns: %{annotation: %{}}} = socket) do
+    %{studio: studio, item: %{path: path}} = socket.assigns
+
+    tracks =
+      for stream <- Shelf.streams(path),
+          {:ok, editor} <- [Annotating.open(studio, path, stream, nil)],
+          track <- Layer.tracks(Editor.layer(editor)),
+          do: [stream, track]
+
+    push_event(socket, "annotation_tracks", %{tracks: tracks})
+  end
+
+  defp event(
+         "annotation_edit",
+         %{"do" => "copy_boundaries", "stream" => stream} = params,
+         %{assigns: %{annotation: %{editor: editor}}} = socket
+       )
+       when is_binary(stream) do
+    %{studio: studio, item: %{path: path}} = socket.assigns
+
+    with {:ok, other} <- Annotating.open(studio, path, stream, nil),
+         :ok <- Annotating.edit(editor, Map.put(params, :layer, Editor.layer(other))) do
       socket
     else
       {:error, error} -> toast(socket, Exception.message(error))
@@ -178,6 +231,12 @@ defmodule Situ.Studio.Web.Annotation do
     end
   end
 
+  # A schema that was kept before, or the one that the fields say.
+  defp chosen(%{"schema" => kept}, _name, _values, assigns) when is_binary(kept) and kept != "",
+    do: Schemas.load(assigns.layout_dir, kept)
+
+  defp chosen(params, name, values, _), do: schema(params["kind"], name, values)
+
   defp schema("box", name, _), do: {:ok, Annotating.spatial(name, :box)}
   defp schema("point", name, _), do: {:ok, Annotating.spatial(name, :point)}
   defp schema(_, name, values), do: Annotating.schema(name, values)
@@ -199,31 +258,12 @@ defmodule Situ.Studio.Web.Annotation do
     end
   end
 
-  # A stream's segments over its whole length, exactly.
-  defp segments(source, stream, shape, %{from: from, to: to}) do
-    spec = %{stream: stream, viz: nil, path: []}
-
-    case shape do
-      shape when shape in [:boolean, :states] ->
-        with {:ok, numbered, _} <- Draw.Messages.numbered(source, spec, from, to),
-             do: {:ok, numbered |> Draw.Segments.of([], to) |> closed(to)}
-
-      :spans ->
-        with {:ok, messages, _} <- Draw.Messages.within(source, stream, from, to) do
-          {:ok, Enum.flat_map(messages, &Visualizers.Spans.of(&1.data, &1.originating_time))}
-        end
-
-      _ ->
-        {:error,
-         Situ.Error.new(:no_segments, "#{stream} has no segments to propose",
-           fix: "choose a stream of booleans, of maps of them, or of intervals"
-         )}
-    end
-  end
-
-  defp closed(rows, end_) do
-    for {a, b, label, class, lane} <- rows, do: {a, b || end_, label, class, lane}
-  end
+  @doc "How many proposals a stream had, or why none."
+  @spec proposed(Socket.t(), {:ok, non_neg_integer()} | {:error, Situ.Error.t()}) :: Socket.t()
+  def proposed(socket, {:ok, 0}), do: toast(socket, "Nothing new to propose")
+  def proposed(socket, {:ok, 1}), do: toast(socket, "1 proposal")
+  def proposed(socket, {:ok, n}), do: toast(socket, "#{n} proposals")
+  def proposed(socket, {:error, error}), do: toast(socket, Exception.message(error))
 
   @doc "Opens a stream of annotations that there is."
   @spec show(Socket.t(), String.t()) :: Socket.t()
@@ -239,6 +279,17 @@ defmodule Situ.Studio.Web.Annotation do
         toast(socket, Exception.message(error))
     end
   end
+
+  @doc "Looks whether another program has saved the annotations meanwhile; the editor tells of it."
+  @spec refresh(Socket.t()) :: Socket.t()
+  def refresh(%{assigns: %{annotation: %{editor: editor}}} = socket) do
+    _ = Editor.refresh(editor)
+    socket
+  catch
+    :exit, _ -> assign(socket, annotation: nil)
+  end
+
+  def refresh(socket), do: socket
 
   @doc "Sends the page the current annotations."
   @spec tell(Socket.t()) :: Socket.t()
@@ -273,6 +324,7 @@ defmodule Situ.Studio.Web.Annotation do
   end
 
   attr(:streams, :list, required: true)
+  attr(:schemas, :list, required: true)
 
   @doc false
   def dialog(assigns) do
@@ -293,6 +345,8 @@ defmodule Situ.Studio.Web.Annotation do
               value="box">Boxes on pictures</option><option value="point">Points on pictures</option></select>
           <input name="by" placeholder="annotator, if several" maxlength="40" autocomplete="off"
               aria-label="Annotator">
+          <select :if={@schemas != []} name="schema" aria-label="Schema"><option value="">these values</option><option
+              :for={s <- @schemas} value={s}>the schema {s}</option></select>
         </div>
         <div class="choices">
           <button class="btn primary" type="submit">Annotate</button>

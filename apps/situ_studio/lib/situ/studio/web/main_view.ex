@@ -267,11 +267,15 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_info({:together, told}, socket), do: {:noreply, Together.heard(socket, told)}
 
+  def handle_info({:proposed, result}, socket),
+    do: {:noreply, Annotation.proposed(socket, result)}
+
   def handle_info({:situ_annotation, _, _}, socket), do: {:noreply, Annotation.tell(socket)}
 
   # A live source has other numbers a moment later.
   def handle_info(:refresh, socket) do
     Process.send_after(self(), :refresh, @refresh_ms)
+    socket = Annotation.refresh(socket)
 
     case Source.call(socket.assigns.source, :extent, []) do
       {:ok, %{live: true}} -> {:noreply, socket |> look_again() |> alerts()}
@@ -300,7 +304,7 @@ defmodule Situ.Studio.Web.MainView do
           |> Map.take([:shapes, :extra, :lanes, :coverage, :colors])
           |> Map.put(:damaged, assigns.damage != []),
         stream: selected_stream(assigns),
-        group: selected_group(assigns),
+        group: StreamTree.selected(assigns),
         panel: selected_panel(assigns),
         edit:
           if(
@@ -336,7 +340,8 @@ defmodule Situ.Studio.Web.MainView do
       <QueryPanel.panel :if={@query_panel} panel={@query_panel} from={KnownStreams.begun(assigns)}
           annotate={Annotation.offered?(assigns)} />
       <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} viewer={@viewer} snap={@snap} />
-      <Annotation.dialog :if={match?({:annotation, _}, @dialog)} streams={elem(@dialog, 1)} />
+      <Annotation.dialog :if={match?({:annotation, _, _}, @dialog)} streams={elem(@dialog, 1)}
+          schemas={elem(@dialog, 2)} />
       <Annotation.schema_dialog :if={match?({:schema, _, _}, @dialog)} dialog={@dialog} />
       <CompareBar.dialog :if={match?({:compare, _}, @dialog)} others={elem(@dialog, 1)} />
       <LayoutMenu.dialog :if={@dialog == :layout} saved={@saved} />
@@ -351,15 +356,6 @@ defmodule Situ.Studio.Web.MainView do
     do: Enum.find(streams, &(&1.name == name))
 
   defp selected_stream(_), do: nil
-
-  defp selected_group(%{selected: {:group, path}, infos: streams}) do
-    case Enum.filter(streams, &String.starts_with?(&1.name, path <> ".")) do
-      [] -> nil
-      streams -> %{path: path, streams: streams}
-    end
-  end
-
-  defp selected_group(_), do: nil
 
   defp selected_panel(%{selected: {:panel, id}, layout: layout}), do: Layout.panel(layout, id)
   defp selected_panel(_), do: nil

@@ -62,8 +62,8 @@ defmodule Situ.Studio.Web.QueryPanel do
 
     with true <- (item.kind == :store and not read_only) or {:error, refused()},
          {:ok, editor} <- Annotating.open(studio, item.path, "Query", schema),
-         rows = for({from, to} <- panel.found.intervals, do: {from, to, "", "span", panel.text}),
-         :ok <- Annotating.propose(editor, rows, "query") do
+         found = Enum.map(panel.found.intervals, &proposal(&1, panel.text)),
+         {:ok, _} <- Annotating.propose(editor, found, "query") do
       Situ.Studio.Web.Annotation.show(socket, "Query")
     else
       {:error, error} -> toast(socket, Exception.message(error))
@@ -71,6 +71,9 @@ defmodule Situ.Studio.Web.QueryPanel do
   end
 
   def handle_event(_, _, socket), do: socket
+
+  defp proposal({from, to}, text),
+    do: %{from: from, to: to, lane: text, label: "", confidence: nil}
 
   defp refused do
     Situ.Error.new(

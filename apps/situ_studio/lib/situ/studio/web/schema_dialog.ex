@@ -28,7 +28,7 @@ defmodule Situ.Studio.Web.SchemaDialog do
             <input name={"attribute[#{i}][values][#{k}][key]"} value={v.key} aria-label={"Key of " <> v.value}
                 placeholder="Key" maxlength="1" autocomplete="off">
             <input type="color" name={"attribute[#{i}][values][#{k}][fill]"}
-                value={if v.fill == "", do: "#4ea1f3", else: v.fill} aria-label={"Colour of " <> v.value}>
+                value={fill(v, k, a.values)} aria-label={"Colour of " <> v.value}>
             <button class="btn" type="button" phx-click="annotation_row" phx-value-do="remove" phx-value-at={i}
                 phx-value-nth={k} aria-label={"Remove " <> v.value}>×</button>
           </div>
@@ -43,6 +43,8 @@ defmodule Situ.Studio.Web.SchemaDialog do
         <div class="choices">
           <button class="btn primary" type="submit">Save</button>
           <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
+          <button class="btn" type="button" phx-click="annotation_schema_keep"
+              title="New annotations of other recordings can have it, too">Keep for other recordings</button>
         </div>
         <p class="hint">A new name applies to every annotation. A value that annotations have cannot be
           removed.</p>
@@ -50,6 +52,17 @@ defmodule Situ.Studio.Web.SchemaDialog do
     </dialog>
     """
   end
+
+  # A field for a colour shows one at all times: values without one are told apart, too.
+  @usual ~w(#4ea1f3 #4cc38a #e0b13f #d670a5 #a78bfa #f2884a #56c7d1 #e06c75)
+
+  defp fill(%{fill: ""}, nth, values) do
+    free = @usual -- Enum.map(values, &String.downcase(&1.fill))
+    before = values |> Enum.take(nth) |> Enum.count(&(&1.fill == ""))
+    Enum.at(if(free == [], do: @usual, else: free), rem(before, max(length(free), 1)))
+  end
+
+  defp fill(%{fill: fill}, _, _), do: fill
 
   defp kinds,
     do: [

@@ -51,6 +51,17 @@ defmodule Situ.Studio.Web.StreamTree do
   # Only what can be folded is remembered as folded.
   defp group?(infos, path), do: Enum.any?(infos, &String.starts_with?(&1.name, path <> "."))
 
+  @doc "The group that is selected, with its streams."
+  @spec selected(map()) :: %{path: String.t(), streams: [StreamInfo.t()]} | nil
+  def selected(%{selected: {:group, path}, infos: streams}) do
+    case Enum.filter(streams, &String.starts_with?(&1.name, path <> ".")) do
+      [] -> nil
+      streams -> %{path: path, streams: streams}
+    end
+  end
+
+  def selected(_), do: nil
+
   @doc "The rows to show, and how many more there are."
   @spec rows(%{
           :query => String.t(),

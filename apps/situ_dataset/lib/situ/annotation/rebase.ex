@@ -1,0 +1,75 @@
+defmodule Situ.Annotation.Rebase do
+  @moduledoc false
+  # Transactions made on one version of a layer, made again on another that a different program has saved meanwhile.
+  # An annotation is known again by what it is, since each program counts ids for itself.
+  alias Situ.{Annotation, Error}
+  alias Situ.Annotation.Layer
+
+  @doc "The layer with all of them, and the transactions as they are on it; the error of the first that does not fit."
+  @spec onto(Layer.t(), [Layer.transaction()]) ::
+          {:ok, Layer.t(), [Layer.transaction()]} | {:error, Error.t()}
+  def onto(%Layer{} = layer, transactions) do
+    transactions
+    |> Enum.reduce_while({layer, %{}, []}, &step/2)
+    |> case do
+      {:error, error} -> {:error, error}
+      {layer, _ids, done} -> {:ok, layer, Enum.reverse(done)}
+    end
+  end
+
+  defp step(transaction, {layer, ids, done}) do
+    with {:ok, changes, ids} <- moved(transaction, layer, ids),
+         {:ok, layer} <- Layer.apply(layer, changes) do
+      {:cont, {layer, ids, [changes | done]}}
+    else
+      error -> {:halt, error}
+    end
+  end
+
+  defp moved(transaction, layer, ids) do
+    transaction
+    |> Enum.reduce_while({[], ids, layer.next}, fn change, {changes, ids, next} ->
+      case change(change, layer, ids, next) do
+        {:ok, {id, _, _} = moved} ->
+          {:cont, {[moved | changes], Map.put(ids, elem(change, 0), id), max(next, id + 1)}}
+
+        error ->
+          {:halt, error}
+      end
+    end)
+    |> case do
+      {:error, error} -> {:error, error}
+      {changes, ids, _} -> {:ok, Enum.reverse(changes), ids}
+    end
+  end
+
+  defp change({id, nil, new}, _layer, ids, next) do
+    # one that was deleted before, and comes back by an undo
+    id = Map.get(ids, id, next)
+    {:ok, {id, nil, with_id(new, id)}}
+  end
+
+  defp change({id, old, new}, layer, ids, _next) do
+    case here(layer, ids[id], old) do
+      nil ->
+        {:error, Error.new(:stale_edit, "an annotation that was edited is another one there")}
+
+      found ->
+        {:ok, {found.id, found, with_id(new, found.id)}}
+    end
+  end
+
+  defp here(layer, nil, %Annotation{} = old) do
+    Enum.find(Layer.on_track(layer, old.track), &(with_id(&1, nil) == with_id(old, nil)))
+  end
+
+  defp here(layer, id, _old) do
+    case Layer.fetch(layer, id) do
+      {:ok, found} -> found
+      {:error, _} -> nil
+    end
+  end
+
+  defp with_id(nil, _), do: nil
+  defp with_id(annotation, id), do: %{annotation | id: id}
+end
