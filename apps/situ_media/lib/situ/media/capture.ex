@@ -218,7 +218,10 @@ defmodule Situ.Media.Capture do
     if opts[:reconnect], do: lost(capture, "ended", context), else: finish(capture)
   end
 
-  defp result({:error, error}, %{streams: nil, lost: nil}, _context), do: raise(error)
+  defp result({:error, error}, %{streams: nil, lost: nil} = capture, _context) do
+    kind = if Map.has_key?(capture.outputs, :video), do: :camera, else: :microphone
+    raise Device.unopened(error, capture.driver, capture.address, kind)
+  end
 
   defp result({:error, error}, %{opts: opts} = capture, context) do
     if opts[:reconnect],

@@ -61,7 +61,10 @@ defmodule Situ.Media.Device do
   @doc "How to play to `address`: the output options of `ffmpeg`."
   @callback playback(address(), opts :: keyword()) :: {:ok, [String.t()]} | {:error, Error.t()}
 
-  @optional_callbacks playback: 2
+  @doc "What to look at when a device of this kind cannot be opened."
+  @callback help(kind()) :: String.t()
+
+  @optional_callbacks playback: 2, help: 1
 
   @drivers %{
     "v4l2" => Situ.Media.Device.V4L2,
@@ -100,6 +103,17 @@ defmodule Situ.Media.Device do
   @spec driver_error(address(), atom(), String.t()) :: {:error, Error.t()}
   def driver_error(address, code, what),
     do: {:error, Error.new(code, "#{address}: #{what}", meta: %{device: address})}
+
+  @doc false
+  # What FFmpeg says of a device that does not open, in the words of somebody who wants to use one.
+  @spec unopened(Error.t(), driver(), address(), kind()) :: Error.t()
+  def unopened(%Error{fix: nil} = error, driver, address, kind) do
+    if Code.ensure_loaded?(driver) and function_exported?(driver, :help, 1),
+      do: %{error | what: "cannot open the #{kind} #{address}", fix: driver.help(kind)},
+      else: error
+  end
+
+  def unopened(error, _driver, _address, _kind), do: error
 
   @doc false
   # Runs a listing program; one that is missing or fails lists nothing.

@@ -64,7 +64,7 @@ defmodule Situ.Media.Speaker do
 
     case Writer.write(state.writer, 0, time, buffer.data) do
       :ok -> {[], %{state | played: state.played + AudioBuffer.frames(buffer)}}
-      {:error, error} -> raise error
+      {:error, error} -> raise unopened(error, state)
     end
   end
 
@@ -101,7 +101,7 @@ defmodule Situ.Media.Speaker do
            ) do
       %{state | writer: writer, format: format, played: 0}
     else
-      {:error, error} -> raise error
+      {:error, error} -> raise unopened(error, state)
     end
   end
 
@@ -111,9 +111,18 @@ defmodule Situ.Media.Speaker do
   defp close(state) do
     case Writer.finish(state.writer, 30_000) do
       :ok -> %{state | writer: nil}
-      {:error, error} -> raise error
+      {:error, error} -> raise unopened(error, state)
     end
   end
+
+  # FFmpeg opens a device when it writes what it calls the header.
+  defp unopened(%{meta: %{log: log}} = error, state) do
+    if Enum.any?(log, &(&1 =~ "write header")),
+      do: Device.unopened(error, state.driver, state.address, :speaker),
+      else: error
+  end
+
+  defp unopened(error, _state), do: error
 
   defp can_play(driver, address) do
     if Code.ensure_loaded?(driver) and function_exported?(driver, :playback, 2),

@@ -159,10 +159,11 @@ defmodule Situ.Media.DeviceTest do
 
   describe "what is missing" do
     test "a camera that is not there says so when the pipeline starts" do
-      assert {:error, %{code: :unreadable_media, what: what}} =
+      assert {:error, %{code: :unreadable_media, what: what, fix: fix}} =
                run_quietly(&Camera.open(&1, device: "v4l2:/dev/video99"))
 
-      assert what =~ "/dev/video99"
+      assert what == "cannot open the camera /dev/video99"
+      assert fix =~ "situ devices cameras"
     end
 
     test "an unknown driver is refused when the pipeline is built" do

@@ -52,10 +52,12 @@ defmodule Situ.Media.SoundDeviceTest do
       assert {:error, %{code: :unreadable_media}} =
                Situ.Pipeline.run(&Microphone.open(&1, device: "alsa:hw:99,0"))
 
-      assert {:error, %{code: :cannot_write}} =
+      assert {:error, %{code: :cannot_write, what: "cannot open the speaker hw:99,0"} = error} =
                Situ.Pipeline.run(fn p ->
                  p |> WavFile.open(path("cards_001.wav")) |> Speaker.play(device: "alsa:hw:99,0")
                end)
+
+      assert error.fix =~ "situ devices speakers"
     end
   end
 

@@ -28,6 +28,12 @@ defmodule Situ.Media.Device.Alsa do
   @impl true
   def playback(address, _opts), do: {:ok, ["-f", "alsa", address]}
 
+  @impl true
+  def help(kind) do
+    "`situ devices #{kind}s` lists what there is; a card that is there and does not open belongs to the group audio, " <>
+      "or to another program (pulse:default shares it)"
+  end
+
   @doc """
   The cards in what `arecord -l` prints.
 

@@ -50,6 +50,12 @@ defmodule Situ.Media.Device.Pulse do
      ]}
   end
 
+  @impl true
+  def help(kind) do
+    "`situ devices #{kind}s` lists what there is; none: start PulseAudio or PipeWire for this user, or name a device " <>
+      "of another driver (alsa:default)"
+  end
+
   @doc """
   The devices in what `ffmpeg -sources pulse` prints.
 

@@ -6,6 +6,12 @@ defmodule Situ.Media.Device.V4L2 do
   @behaviour Situ.Media.Device
   alias Situ.Media.Device
 
+  @impl true
+  def help(kind) do
+    "`situ devices #{kind}s` lists what there is; a camera that is there and does not open belongs to the group video, " <>
+      "or to another program"
+  end
+
   @doc """
   The sizes and rates in the listing of `v4l2-ctl --list-formats-ext`.
 
