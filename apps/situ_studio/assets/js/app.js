@@ -66,6 +66,7 @@ const hooks = {
       this.handleEvent("snap", ({ stream }) => app.snapTo(stream));
       this.handleEvent("toast", ({ text }) => toast(text));
       this.handleEvent("statistics", ({ rows }) => {
+        clearTimeout(app.counting);
         const { sel } = app.time.get();
         showStatistics(rows, (sel[1] ?? 0) - (sel[0] ?? 0));
       });

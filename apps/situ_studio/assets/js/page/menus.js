@@ -1,7 +1,7 @@
 // The entries of the menus: of a stream, a panel, a line's name, a time, a recording.
 
 import { GUTTER } from "./theme.js";
-import { copy } from "./toast.js";
+import { copy, toast } from "./toast.js";
 import { drawable, savePicture, saveVector } from "./picture_file.js";
 import { commands } from "./commands.js";
 import { ask } from "./ask.js";
@@ -136,7 +136,10 @@ function panelItems(app, panel, legend, event) {
       {
         text: "Statistics of the selection",
         disabled: sel[0] == null || sel[1] == null,
-        run: () => push("statistics", { from: app.client.abs(sel[0]), to: app.client.abs(sel[1]) }),
+        run: () => {
+          app.counting = setTimeout(() => toast("Reading every message of the selection …"), 600);
+          push("statistics", { from: app.client.abs(sel[0]), to: app.client.abs(sel[1]) });
+        },
       },
       ...downloads(app, body, vis),
       ...aligning(app, body, event),

@@ -39,7 +39,7 @@ export function showStatistics(rows, length) {
   };
   line(
     "",
-    rows.map((r) => r.name + (r.all === false ? " (a sample)" : "")),
+    rows.map((r) => r.name + (r.error ? ` (${r.error})` : r.all === false ? " (the first 2 million messages)" : "")),
     "th",
   );
   for (const [name, title] of Object.entries(TITLES)) {

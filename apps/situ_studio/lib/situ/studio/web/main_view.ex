@@ -166,8 +166,15 @@ defmodule Situ.Studio.Web.MainView do
     with {:ok, from} <- WholeNumber.parse(from),
          {:ok, to} when to >= from <- WholeNumber.parse(to),
          %{vis: vis} <- Layout.panel(socket.assigns.layout, id) do
-      rows = for v <- Enum.take(vis, 8), do: Statistics.within(socket.assigns.source, v, from, to)
-      {:noreply, push_event(socket, "statistics", %{rows: rows})}
+      {source, page} = {socket.assigns.source, self()}
+
+      # Millions of messages take a while to read: the page goes on meanwhile.
+      Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
+        rows = Enum.flat_map(Enum.take(vis, 8), &Statistics.within(source, &1, from, to))
+        send(page, {:statistics, Enum.take(rows, 16)})
+      end)
+
+      {:noreply, socket}
     else
       _ -> {:noreply, socket}
     end
@@ -262,6 +269,9 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_info({:found, run, result}, socket),
     do: {:noreply, QueryPanel.found(socket, run, result)}
+
+  def handle_info({:statistics, rows}, socket),
+    do: {:noreply, push_event(socket, "statistics", %{rows: rows})}
 
   def handle_info({:film, key, told}, socket), do: {:noreply, FilmBox.told(socket, key, told)}
 

@@ -1,0 +1,61 @@
+defmodule Situ.Studio.StatisticsTest do
+  use ExUnit.Case, async: true
+
+  alias Situ.Studio.{History, Source, Statistics}
+
+  defp source(rows) do
+    history = History.new(live: false, seconds: 1_000_000)
+
+    for {{t, data}, i} <- Enum.with_index(rows) do
+      message = %Situ.Message{data: data, originating_time: t, creation_time: t, sequence_id: i}
+      History.put(history, "S", message, 8)
+    end
+
+    {Source.History, history}
+  end
+
+  defp rows(rows) do
+    for row <- Statistics.within(source(rows), %{stream: "S", path: ""}, 0, 1_000_000_000_000),
+        do: {row, Map.new(row.values, &List.to_tuple/1)}
+  end
+
+  test "every message counts, however many there are" do
+    n = 250_000
+    [{row, stats}] = rows(for i <- 0..(n - 1), do: {i * 1_000, rem(i, 2) == 0})
+
+    assert row.all
+    assert %{"n" => ^n, "period_ns" => 1_000, "longest_pause_ns" => 1_000, "mean" => 0.5} = stats
+    assert_in_delta stats["rate_hz"], 1.0e6, 1.0e-6
+    assert Enum.sum(row.histogram.counts) == n
+  end
+
+  test "numbers of any size have a mean and a deviation" do
+    [{row, huge}] = rows(for i <- 0..3, do: {i, Enum.at([-9.0e307, 9.0e307, 0.0, 1.0], i)})
+    assert_in_delta huge["mean"] / 1.0e307, 0.0, 1.0e-9
+    assert_in_delta huge["sd"] / 1.0e307, 7.348469228349534, 1.0e-9
+    assert Enum.sum(row.histogram.counts) == 4
+
+    [{_, late}] = rows(for i <- 0..9, do: {i, 1_767_225_600_000_000_000 + i})
+    assert_in_delta late["sd"], 3.0276503540974917, 1.0e-12
+
+    [{_, big}] = rows([{0, Integer.pow(10, 200)}, {1, -Integer.pow(10, 200)}])
+    assert big["mean"] == 0.0
+  end
+
+  test "maps of numbers have a row for each key, by the messages that have it" do
+    assert [{%{name: "S  a"}, a}, {%{name: "S  b"}, b}] =
+             rows([
+               {0, %{"a" => 1}},
+               {10, %{"a" => 3, "b" => 7.0, "c" => "text"}},
+               {30, %{"a" => 5}}
+             ])
+
+    assert %{"n" => 3, "mean" => 3.0, "longest_pause_ns" => 20} = a
+    assert %{"n" => 1, "mean" => 7.0, "sd" => 0.0} = b
+  end
+
+  test "a path that is none says so" do
+    assert [%{error: "" <> _, values: []}] =
+             Statistics.within(source([]), %{stream: "S", path: "["}, 0, 1)
+  end
+end
