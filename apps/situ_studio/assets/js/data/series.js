@@ -29,6 +29,7 @@ export class Series {
     this.length = keep + n;
     this.raw = frame.raw && (keep === 0 || this.raw);
     this.sampled = frame.sampled === true;
+    this.together = frame.together === true;
     this.beat = rhythm(this);
   }
 

@@ -84,6 +84,8 @@ function payload(f, buffer, at) {
   // single messages, not summaries; of more messages than were read
   f.raw = (f.flags & 1) === 1;
   f.sampled = (f.flags & 2) === 2;
+  // all channels of a sound, where one was asked for
+  f.together = (f.flags & 4) === 4;
   switch (f.kind) {
     case KIND.series:
       return Object.assign(f, columns(buffer, at, n));
@@ -106,6 +108,7 @@ function payload(f, buffer, at) {
     case KIND.pcm:
       f.rate = f.step;
       f.samples = new Float32Array(buffer, at, f.bytes / 4);
+      f.channels = n ? f.samples.length / n : 1;
       return f;
     case KIND.sounds:
       f.rate = f.step;

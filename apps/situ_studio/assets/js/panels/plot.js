@@ -32,7 +32,7 @@ export class PlotPanel {
     this.config = config;
     const old = new Map(this.layers.map((l) => [l.key, l]));
     this.layers = config.vis.map((vis, index) => {
-      const key = JSON.stringify([vis.viz, vis.stream, vis.path, vis.channel]);
+      const key = JSON.stringify([vis.viz, vis.stream, vis.path, vis.asked]);
       const layer = old.get(key) ?? this.openLayer(key, vis);
       old.delete(key);
       return Object.assign(layer, { vis, index });
@@ -46,7 +46,7 @@ export class PlotPanel {
   openLayer(key, vis) {
     const px = () => Math.max(this.el.clientWidth - GUTTER.left - GUTTER.right, 0);
     const channel = this.app.client.open(
-      { stream: vis.stream, viz: vis.viz, path: vis.path, channel: vis.channel },
+      { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} },
       () => this.app.schedule(this),
       { px },
     );

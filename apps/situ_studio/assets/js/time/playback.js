@@ -87,8 +87,8 @@ export class Playback {
 
   schedule(run, pcm, from, start) {
     if (!pcm || !pcm.samples.length || run.stop) return;
-    const buffer = this.context.createBuffer(1, pcm.samples.length, pcm.rate);
-    buffer.copyToChannel(pcm.samples, 0);
+    const buffer = this.context.createBuffer(pcm.channels, pcm.samples.length / pcm.channels, pcm.rate);
+    for (let c = 0; c < pcm.channels; c++) buffer.copyToChannel(everyOther(pcm.samples, c, pcm.channels), c);
     const node = this.context.createBufferSource();
     node.buffer = buffer;
     node.playbackRate.value = run.speed;
@@ -103,7 +103,15 @@ export class Playback {
     if (offset >= buffer.duration) return;
     node.start(when, offset);
     run.nodes.add(node);
-    run.heard += pcm.samples.length;
+    run.heard += buffer.length;
     node.onended = () => run.nodes.delete(node);
   }
+}
+
+// One channel of samples that lie frame by frame.
+function everyOther(samples, channel, channels) {
+  if (channels === 1) return samples;
+  const out = new Float32Array(samples.length / channels);
+  for (let i = 0; i < out.length; i++) out[i] = samples[i * channels + channel];
+  return out;
 }

@@ -13,7 +13,15 @@ export const waveform = {
     paint.wave(ctx, series, view, x, y, { color, ratio });
   },
 
-  // The waveform that is heard while playing.
-  sound: ({ stream, channel, props }) =>
-    props?.mute || props?.visible === false ? null : { stream, channel: channel ?? 0 },
+  text(entry, i) {
+    const said = line.text(entry, i);
+    return entry.series.together ? `${said} (all channels: zoom in for this one)` : said;
+  },
+
+  // The waveform that is heard while playing: all its channels, or the one that is drawn.
+  sound: ({ stream, props }) => {
+    if (props?.mute || props?.visible === false) return null;
+    const one = Number(props?.channel) || 0;
+    return { stream, channel: props?.solo && one ? one - 1 : "all" };
+  },
 };

@@ -22,7 +22,7 @@ defmodule Situ.Studio.Frame do
   | bytes | what |
   |---|---|
   | 0..1 | kind, below |
-  | 2..3 | flags: 1 = single messages, not summaries; 2 = a sample: more messages than were read |
+  | 2..3 | flags: 1 = single messages, not summaries; 2 = a sample: more messages than were read; 4 = all channels of a sound together, where one was asked for |
   | 4..7 | channel, as the page numbered it |
   | 8..11 | bytes of payload |
   | 12..15 | rows |
@@ -39,7 +39,7 @@ defmodule Situ.Studio.Frame do
   | 6 none | there is no message at this time |
   | 7 same | the message sent last on this channel still holds |
   | 8 error | what is wrong, in words |
-  | 9 pcm | 32-bit float samples of one channel |
+  | 9 pcm | rows frames of 32-bit float samples, of as many channels as there is room for |
   | 10 lines | rows of them; of each: bytes of its name, points (32 bits each), the name padded to 8, and columns as of a series; a gap is NaN |
   | 11 scene | things in space, see `Situ.Studio.Scene.pack/2` |
   | 12 sounds | rows pieces of sound, all as long: their times after the base (64-bit floats), then 32-bit float samples |
@@ -81,7 +81,10 @@ defmodule Situ.Studio.Frame do
   end
 
   @doc "A signal: points as of `Situ.Codec`, and gaps, in time order. `raw?` says that each stands for one message."
-  @spec series(channel(), [Bins.point() | Bins.gap()], boolean(), sampled: boolean()) :: t()
+  @spec series(channel(), [Bins.point() | Bins.gap()], boolean(),
+          sampled: boolean(),
+          together: boolean()
+        ) :: t()
   def series(channel, points, raw?, opts \\ []) do
     base = first_time(points)
     frame(:series, channel, columns(points, base), length(points), base, flags(raw?, opts))
@@ -166,11 +169,10 @@ defmodule Situ.Studio.Frame do
   @spec json(channel(), Situ.Time.t(), term()) :: t()
   def json(channel, time, term), do: frame(:json, channel, encode(term), 1, time)
 
-  @doc "Sound of one channel: 32-bit float samples."
-  @spec pcm(channel(), Situ.Time.t(), pos_integer(), binary()) :: t()
-  def pcm(channel, time, rate, samples) do
-    frame(:pcm, channel, samples, div(byte_size(samples), 4), time, 0, rate)
-  end
+  @doc "Sound: 32-bit float samples of so many channels, frame by frame."
+  @spec pcm(channel(), Situ.Time.t(), pos_integer(), binary(), pos_integer()) :: t()
+  def pcm(channel, time, rate, samples, channels \\ 1),
+    do: frame(:pcm, channel, samples, div(byte_size(samples), 4 * channels), time, 0, rate)
 
   @doc "Pieces of sound of one channel, all of as many samples, at a rate: `{time, 32-bit float samples}`."
   @spec sounds(channel(), [{Situ.Time.t(), binary()}], pos_integer()) :: t()
@@ -216,7 +218,7 @@ defmodule Situ.Studio.Frame do
   defp first_time([]), do: 0
   defp first_time([row | _]), do: elem(row, 0)
 
-  defp flags(raw?, opts), do: bit(raw?, 1) + bit(opts[:sampled], 2)
+  defp flags(raw?, opts), do: bit(raw?, 1) + bit(opts[:sampled], 2) + bit(opts[:together], 4)
 
   defp bit(true, value), do: value
   defp bit(_, _), do: 0

@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Sound do
   @moduledoc """
-  A stretch of an audio stream as 32-bit float samples of one channel, put where their times say: gaps are silence.
+  A stretch of an audio stream as 32-bit float samples of one channel or of all, put where their times say: gaps are
+  silence.
   """
   alias Situ.{AudioBuffer, AudioFormat, Error, Sound}
   alias Situ.Studio.Source
@@ -11,10 +12,20 @@ defmodule Situ.Studio.Sound do
   @doc "Start time, rate and samples between `from` and `to` (at most 10 s); channel 0 is the first."
   @spec samples(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t(), non_neg_integer()) ::
           {:ok, {Situ.Time.t(), pos_integer(), binary()}} | {:error, Error.t()}
-  def samples(_, _, from, to, _) when to <= from or to - from > @max_span,
+  def samples(source, stream, from, to, channel) do
+    with {:ok, {start, rate, _, samples}} <- read(source, stream, {from, to}, channel),
+         do: {:ok, {start, rate, samples}}
+  end
+
+  @doc "Start time, rate, number of channels, and the samples of all channels, frame by frame."
+  @spec frames(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
+          {:ok, {Situ.Time.t(), pos_integer(), pos_integer(), binary()}} | {:error, Error.t()}
+  def frames(source, stream, from, to), do: read(source, stream, {from, to}, :all)
+
+  defp read(_, _, {from, to}, _) when to <= from or to - from > @max_span,
     do: {:error, Error.new(:bad_interval, "a request for sound may span 10 s at most")}
 
-  def samples(source, stream, from, to, channel) do
+  defp read(source, stream, {from, to}, channel) do
     # a buffer's time is that of its end, so the one that ends after `to` may hold the last samples
     with {:ok, messages, _} <- Source.call(source, :messages, [stream, from, to, @buffers]) do
       later =
@@ -30,10 +41,11 @@ defmodule Situ.Studio.Sound do
     end
   end
 
-  defp lay([], from, _to, _), do: {from, 16_000, ""}
+  defp lay([], from, _to, _), do: {from, 16_000, 1, ""}
 
   defp lay([{first, _} | _] = buffers, from, to, channel) do
-    rate = first.format.rate
+    %{rate: rate, channels: channels} = first.format
+    width = if channel == :all, do: channels, else: 1
     wanted = AudioFormat.ns_to_frames(first.format, to - from)
 
     {parts, _} =
@@ -44,16 +56,19 @@ defmodule Situ.Studio.Sound do
         skip = max(at - start, 0)
         gap = max(min(start, wanted) - at, 0)
         n = max(min(AudioBuffer.frames(b) - skip, wanted - max(start, at)), 0)
-        samples = b |> AudioBuffer.slice(skip, n) |> floats(min(channel, b.format.channels - 1))
-        silence = :binary.copy(<<0.0::little-float-32>>, gap)
+        samples = b |> AudioBuffer.slice(skip, n) |> floats(channel, width)
+        silence = :binary.copy(<<0.0::little-float-32>>, gap * width)
         {[samples, silence | parts], at + gap + n}
       end)
 
-    {from, rate, parts |> Enum.reverse() |> IO.iodata_to_binary()}
+    {from, rate, width, parts |> Enum.reverse() |> IO.iodata_to_binary()}
   end
 
-  defp floats(buffer, channel) do
-    gains = for c <- 1..buffer.format.channels, do: if(c == channel + 1, do: 1, else: 0)
-    Sound.remix!(buffer, [gains], sample: :f32).data
+  # A buffer of fewer channels gives its last one for those that it has not.
+  defp floats(buffer, channel, width) do
+    last = buffer.format.channels - 1
+    taken = if channel == :all, do: 0..(width - 1), else: [channel]
+    gains = for one <- taken, do: for(c <- 0..last, do: if(c == min(one, last), do: 1, else: 0))
+    Sound.remix!(buffer, gains, sample: :f32).data
   end
 end

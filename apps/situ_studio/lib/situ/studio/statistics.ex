@@ -64,6 +64,27 @@ defmodule Situ.Studio.Statistics do
     end
   end
 
+  # Of a panel so many streams are told, and so many rows.
+  @streams 8
+  @rows 16
+
+  @doc """
+  Those of all that a panel draws. Millions of messages take a while to read, so this is done by another process, which
+  sends `{:statistics, rows}` to the caller.
+  """
+  @spec begin(Source.t(), [map()], Situ.Time.t(), Situ.Time.t()) :: :ok
+  def begin(source, vis, from, to) do
+    caller = self()
+
+    {:ok, _} =
+      Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
+        rows = vis |> Enum.take(@streams) |> Enum.flat_map(&within(source, &1, from, to))
+        send(caller, {:statistics, Enum.take(rows, @rows)})
+      end)
+
+    :ok
+  end
+
   # {time, value} of every message; of the value only what is counted, so that pictures are not kept.
   defp read(source, stream, path, range), do: read(source, stream, path, range, [], 0)
 

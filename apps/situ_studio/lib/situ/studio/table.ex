@@ -10,7 +10,8 @@ defmodule Situ.Studio.Table do
 
   # Read in pages, so that memory does not grow with what is asked for.
   @page 2_000
-  @stretch 10_000_000_000
+  @second 1_000_000_000
+  @stretch 10 * @second
 
   @doc "The rows of streams between two times, a header first, as chunks of text."
   @spec csv(Source.t(), [String.t()], Situ.Time.t(), Situ.Time.t()) :: Enumerable.t()
@@ -108,34 +109,54 @@ defmodule Situ.Studio.Table do
 
   defp quoted(text), do: "\"" <> String.replace(text, "\"", "\"\"") <> "\""
 
-  @doc "A stream of sound between two times as a WAV file of 32-bit floats, its first channel."
+  @doc "A stream of sound between two times as a WAV file of 32-bit floats, all its channels; gaps are silence."
   @spec wav(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, iodata()} | {:error, Situ.Error.t()}
   def wav(source, stream, from, to) do
     stretches(from, to)
-    |> Enum.reduce_while({:ok, nil, []}, fn {a, b}, {:ok, rate, parts} ->
-      case Sound.samples(source, stream, a, b, 0) do
-        {:ok, {_, found, samples}} -> {:cont, {:ok, rate(rate, found, samples), [parts, samples]}}
+    |> Enum.reduce_while({:ok, []}, fn {a, b}, {:ok, parts} ->
+      case Sound.frames(source, stream, a, b) do
+        {:ok, part} -> {:cont, {:ok, [{part, b - a} | parts]}}
         error -> {:halt, error}
       end
     end)
     |> case do
-      {:ok, rate, parts} when rate != nil -> {:ok, [header(rate, IO.iodata_length(parts)), parts]}
-      {:ok, nil, _} -> {:error, Situ.Error.new(:silent, "there is no sound between these times")}
+      {:ok, parts} -> parts |> Enum.reverse() |> joined()
       error -> error
     end
   end
 
-  defp rate(rate, _found, ""), do: rate
-  defp rate(rate, found, _), do: rate || found
+  # A stretch lasts as long in the file as in the recording, also where there is no sound, or not up to its end.
+  defp joined(parts) do
+    case Enum.find(parts, fn {{_, _, _, samples}, _} -> samples != "" end) do
+      nil ->
+        {:error, Situ.Error.new(:silent, "there is no sound between these times")}
+
+      {{_, rate, channels, _}, _} ->
+        frame = 4 * channels
+        last = length(parts) - 1
+
+        data =
+          for {{{_, r, n, samples}, span}, i} <- Enum.with_index(parts) do
+            samples = if {r, n} == {rate, channels}, do: samples, else: ""
+            missing = frame * round(rate * span / @second) - byte_size(samples)
+            if i == last, do: samples, else: [samples, :binary.copy(<<0>>, max(missing, 0))]
+          end
+
+        {:ok, [header(rate, channels, IO.iodata_length(data)), data]}
+    end
+  end
 
   defp stretches(from, to),
     do: for(a <- from..(to - 1)//@stretch, do: {a, min(a + @stretch, to)})
 
   # Microsoft, RIFF WAVE: format 3 is IEEE float.
-  defp header(rate, bytes) do
-    <<"RIFF", 50 + bytes::little-32, "WAVE", "fmt ", 18::little-32, 3::little-16, 1::little-16,
-      rate::little-32, 4 * rate::little-32, 4::little-16, 32::little-16, 0::little-16, "fact",
-      4::little-32, div(bytes, 4)::little-32, "data", bytes::little-32>>
+  defp header(rate, channels, bytes) do
+    frame = 4 * channels
+
+    <<"RIFF", 50 + bytes::little-32, "WAVE", "fmt ", 18::little-32, 3::little-16,
+      channels::little-16, rate::little-32, frame * rate::little-32, frame::little-16,
+      32::little-16, 0::little-16, "fact", 4::little-32, div(bytes, frame)::little-32, "data",
+      bytes::little-32>>
   end
 end

@@ -57,6 +57,27 @@ defmodule Situ.Studio.TableTest do
     assert {:error, %{code: :silent}} = Table.wav(source(%{"Mic" => []}), "Mic", 0, s)
   end
 
+  test "sound keeps its channels, and its place behind a long silence" do
+    s = 1_000_000_000
+    format = AudioFormat.pcm(1_000, 2)
+    data = :binary.copy(<<16_384::little-16, -8_192::little-signed-16>>, 1_000)
+    buffers = for t <- [s, 26 * s], do: {t, %AudioBuffer{format: format, data: data}}
+    {:ok, wav} = Table.wav(source(%{"Mic" => buffers}), "Mic", 0, 30 * s)
+    wav = IO.iodata_to_binary(wav)
+
+    assert <<_::binary-22, 2::little-16, 1_000::little-32, 8_000::little-32, 8::little-16,
+             _::binary>> = wav
+
+    frames =
+      for <<l::little-float-32, r::little-float-32 <- binary_part(wav, 58, byte_size(wav) - 58)>>,
+        do: {l, r}
+
+    assert length(frames) == 26_000
+
+    assert Enum.map([500, 1_500, 24_900, 25_500], &Enum.at(frames, &1)) ==
+             [{0.5, -0.25}, {0.0, 0.0}, {0.0, 0.0}, {0.5, -0.25}]
+  end
+
   @tag :tmp_dir
   test "a Parquet file has the rows of all streams; pictures are no table", %{tmp_dir: dir} do
     rows = for i <- 0..4_999, do: {i * 10, i / 2}

@@ -11,6 +11,15 @@ defmodule Situ.Studio.Visualizers.Option do
   @spec flip() :: keyword()
   def flip, do: [flip: [type: :boolean, title: "Mirror", default: false]]
 
+  # So many channels can be chosen.
+  @channels 8
+
+  @spec channel() :: keyword()
+  def channel do
+    one = for c <- 1..@channels, do: {Integer.to_string(c), Integer.to_string(c)}
+    [channel: [type: {:in, [{"all", "all"} | one]}, title: "Channel", default: "all"]]
+  end
+
   @spec line() :: keyword()
   def line do
     joins = [{"direct", "straight"}, {"step", "steps"}, {"none", "points only"}]

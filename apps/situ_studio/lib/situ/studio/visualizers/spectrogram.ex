@@ -20,30 +20,40 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
       title: "Spectrogram",
       panel: :plot,
       shapes: [:audio],
-      options: Option.visible()
+      options: Option.visible() ++ Option.channel(),
+      asks: [:channel]
     }
   end
 
   @impl true
-  def window(source, channel, %{stream: stream}, from, to, _bin) do
+  def window(source, channel, %{stream: stream} = spec, from, to, _bin) do
+    one = chosen(spec)
+
     with {:ok, rate} <- rate(source, stream, from) do
       length = div(@samples * @second, rate) + 1
       step = max(div(to - from, @columns), length)
       # places are those of the step everywhere, so that a view that moves has the same pieces
       first = Integer.floor_div(from, step) * step
-      pieces = for t <- first..to//step, piece = piece(source, stream, t, length), do: {t, piece}
+
+      pieces =
+        for t <- first..to//step, piece = piece(source, {stream, one}, t, length), do: {t, piece}
+
       Frame.sounds(channel, pieces, rate)
     end
   end
 
   # `nil` where there is no sound: none was recorded, not enough of it, or only silence.
-  defp piece(source, stream, time, length) do
-    case Sound.samples(source, stream, time, time + length, 0) do
+  defp piece(source, {stream, channel}, time, length) do
+    case Sound.samples(source, stream, time, time + length, channel) do
       {:ok, {_, _, <<@silence, _::binary>>}} -> nil
       {:ok, {_, _, <<samples::binary-size(@samples * 4), _::binary>>}} -> samples
       _ -> nil
     end
   end
+
+  # All together are those of the first.
+  defp chosen(%{props: %{"channel" => <<digit>>}}) when digit in ?1..?8, do: digit - ?1
+  defp chosen(_), do: 0
 
   defp rate(source, stream, time) do
     with :none <- Source.call(source, :next_after, [stream, time]),

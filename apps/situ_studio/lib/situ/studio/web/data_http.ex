@@ -73,10 +73,10 @@ defmodule Situ.Studio.Web.DataHttp do
   defp answer(:pcm, query, source, extent) do
     with {:ok, from} <- WholeNumber.parse(query["from"]),
          {:ok, to} <- WholeNumber.parse(query["to"]),
-         {:ok, channel} <- WholeNumber.parse(query["channel"] || "0") do
-      case Sound.samples(source, text(query["stream"]), from, to, channel) do
-        {:ok, {start, rate, samples}} ->
-          reply([Frame.pcm(0, start, rate, samples)], extent, from)
+         {:ok, channel} <- channel(query["channel"] || "0") do
+      case sound(source, text(query["stream"]), {from, to}, channel) do
+        {:ok, {start, rate, channels, samples}} ->
+          reply([Frame.pcm(0, start, rate, samples, channels)], extent, from)
 
         {:error, error} ->
           Response.error(422, error.what)
@@ -156,6 +156,17 @@ defmodule Situ.Studio.Web.DataHttp do
       :none ->
         Response.error(404, "there is nothing to picture")
     end
+  end
+
+  defp channel("all"), do: {:ok, :all}
+  defp channel(text), do: WholeNumber.parse(text)
+
+  defp sound(source, stream, {from, to}, :all), do: Sound.frames(source, stream, from, to)
+
+  defp sound(source, stream, {from, to}, channel) do
+    with {:ok, {start, rate, samples}} <-
+           Sound.samples(source, stream, from, to, max(channel, 0)),
+         do: {:ok, {start, rate, 1, samples}}
   end
 
   # A file that is there for one answer.

@@ -166,14 +166,7 @@ defmodule Situ.Studio.Web.MainView do
     with {:ok, from} <- WholeNumber.parse(from),
          {:ok, to} when to >= from <- WholeNumber.parse(to),
          %{vis: vis} <- Layout.panel(socket.assigns.layout, id) do
-      {source, page} = {socket.assigns.source, self()}
-
-      # Millions of messages take a while to read: the page goes on meanwhile.
-      Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
-        rows = Enum.flat_map(Enum.take(vis, 8), &Statistics.within(source, &1, from, to))
-        send(page, {:statistics, Enum.take(rows, 16)})
-      end)
-
+      Statistics.begin(socket.assigns.source, vis, from, to)
       {:noreply, socket}
     else
       _ -> {:noreply, socket}
