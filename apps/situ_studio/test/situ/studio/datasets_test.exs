@@ -247,6 +247,20 @@ defmodule Situ.Studio.DatasetsTest do
            ]
   end
 
+  test "a dataset's page deletes no file that is no recording", context do
+    %{studio: studio, study: file, dir: dir} = context
+    letter = Path.join(dir, "letter.txt")
+    File.write!(letter, "dear")
+    {:ok, server} = Datasets.open(studio, file)
+    {:ok, _} = Datasets.edit(server, file, &Dataset.add_partition(&1, "c", "Letter", letter))
+    page = mount(studio)
+    Page.event(page, "delete", %{"path" => ["c", "Letter"]})
+    assert List.last(Page.pushed(page, "toast"))["text"] =~ "letter.txt"
+    assert File.read!(letter) == "dear"
+    Page.event(page, "delete", %{"path" => ["c"]})
+    assert File.exists?(letter) and Store.exists?(Path.join(dir, "room-30.0000"))
+  end
+
   test "another recording is taken for one that was moved; a copy is saved once", context do
     %{studio: studio, study: file, dir: dir} = context
     Store.rename(Path.join(dir, "room-30.0000"), "moved")

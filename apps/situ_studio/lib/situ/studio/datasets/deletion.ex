@@ -1,7 +1,8 @@
 defmodule Situ.Studio.Datasets.Deletion do
   @moduledoc """
   Recordings of a dataset deleted from the disk: all that were asked for, or, where one of them is being recorded or is
-  used elsewhere in the dataset, none.
+  used elsewhere in the dataset, none. A dataset's file may come from anyone and name any path: what no reader opens
+  and is no store, whole or damaged, stays.
   """
   alias Situ.Dataset
   alias Situ.Dataset.Partition
@@ -43,30 +44,38 @@ defmodule Situ.Studio.Datasets.Deletion do
            fix: "remove it there first"
          )}
 
-      live?(partition.path) ->
-        {:error,
-         Error.new(:live, "it is being recorded: #{partition.path}",
-           fix: "delete it when that has ended"
-         )}
-
       true ->
-        :ok
+        recording(partition.path)
     end
   end
 
-  defp live?(path) do
-    case Store.open(path) do
-      {:ok, store} -> Store.live?(store)
-      {:error, _} -> false
+  defp recording(path) do
+    with true <- File.exists?(path),
+         {:ok, store} <- Store.open(path),
+         true <- Store.live?(store) do
+      {:error,
+       Error.new(:live, "it is being recorded: #{path}", fix: "delete it when that has ended")}
+    else
+      false ->
+        :ok
+
+      {:error, _} ->
+        if Store.exists?(path), do: :ok, else: {:error, no_recording(path)}
     end
   end
+
+  defp no_recording(path),
+    do:
+      Error.new(:no_store, "#{path} is not deleted: it is no recording",
+        fix: "remove it from the dataset, and delete the file by other means"
+      )
 
   defp delete(path) do
     cond do
       not File.exists?(path) -> :ok
       Store.exists?(path) -> Store.delete(path)
       File.regular?(path) -> removed(File.rm(path), path)
-      true -> {:error, Error.new(:no_store, "#{path} is no recording")}
+      true -> {:error, no_recording(path)}
     end
   end
 
