@@ -22,18 +22,34 @@ defmodule Situ.Studio.Layouts do
     dir |> all() |> Enum.map(& &1.name) |> Enum.uniq() |> Enum.sort()
   end
 
-  @doc "The layout called `name`."
+  @doc "The layout called `name`. Errors: `:no_layout`, `:bad_layout` of a file that says it is that, but is none."
   @spec load(Path.t(), String.t()) :: {:ok, Layout.t()} | {:error, Error.t()}
   def load(dir, name) do
-    case Enum.find(all(dir), &(&1.name == name)) do
-      nil ->
-        {:error,
-         Error.new(:no_layout, "there is no layout called #{inspect(name)}",
-           fix: "choose one from the list"
-         )}
+    with nil <- Enum.find(all(dir), &(&1.name == name)),
+         nil <- Enum.find_value(broken(dir), fn {_, said, e} -> if said == name, do: e end) do
+      {:error,
+       Error.new(:no_layout, "there is no layout called #{inspect(name)}",
+         fix: "choose one from the list"
+       )}
+    else
+      %Layout{} = layout -> {:ok, layout}
+      %Error{} = error -> {:error, error}
+    end
+  end
 
-      layout ->
-        {:ok, layout}
+  @doc "The files in `dir` that should be layouts and are none, with the reason: of another version, edited by hand ..."
+  @spec problems(Path.t()) :: [{Path.t(), Error.t()}]
+  def problems(dir), do: for({path, _, error} <- broken(dir), do: {path, error})
+
+  defp broken(dir) do
+    for {path, json} <- texts(dir), {:error, error} <- [Layout.Text.read(json)] do
+      name =
+        case Situ.JSON.decode(json) do
+          {:ok, %{"name" => name}} -> name
+          _ -> nil
+        end
+
+      {path, name, error}
     end
   end
 
@@ -84,11 +100,18 @@ defmodule Situ.Studio.Layouts do
 
   defp all(dir), do: for({_, layout} <- files(dir), do: layout)
 
-  defp files(dir) do
+  defp files(dir),
+    do:
+      for(
+        {path, json} <- texts(dir),
+        {:ok, layout} <- [Layout.Text.read(json)],
+        do: {path, layout}
+      )
+
+  defp texts(dir) do
     for path <- dir |> Path.join("*.json") |> Path.wildcard() |> Enum.sort() |> Enum.take(500),
         {:ok, %{size: size}} when size <= @max_bytes <- [File.stat(path)],
         {:ok, json} <- [File.read(path)],
-        {:ok, layout} <- [Layout.Text.read(json)],
-        do: {path, layout}
+        do: {path, json}
   end
 end

@@ -100,6 +100,27 @@ defmodule Situ.Studio.LayoutTest do
 
   defp same_panels(before, {:error, %{code: :full}}), do: before
 
+  @tag :tmp_dir
+  test "files that are no layouts are named with the reason; a layout of another version is not taken for none",
+       %{tmp_dir: dir} do
+    panel = %{"id" => "p1", "panel" => "plot", "vis" => []}
+    text = &Situ.JSON.encode(%{"version" => &1, "name" => &2, "panels" => &3})
+    File.write!(Path.join(dir, "a.json"), "{ no json")
+    File.write!(Path.join(dir, "b.json"), text.(99, "Future", []))
+    File.write!(Path.join(dir, "c.json"), text.(1, "Twice", [panel, panel]))
+    File.write!(Path.join(dir, "d.json"), text.(1, "Good", [panel]))
+    assert Layouts.names(dir) == ["Good"]
+
+    assert for({path, error} <- Layouts.problems(dir), do: {Path.basename(path), error.what}) == [
+             {"a.json", "this file is not a layout: it is not JSON"},
+             {"b.json", "this file is not a layout: it is of version 99, this studio reads 1"},
+             {"c.json", "this file is not a layout: two panels have the id p1"}
+           ]
+
+    assert {:error, %{code: :bad_layout}} = Layouts.load(dir, "Future")
+    assert {:error, %{code: :no_layout}} = Layouts.load(dir, "None")
+  end
+
   describe "moving panels" do
     # r1: A B | r2: C | plots P, Q
     setup do

@@ -79,14 +79,22 @@ defmodule Situ.Studio.Layout.Text do
   defp read_panels(name, panels) do
     read = Enum.map(panels, &read_panel/1)
 
-    case Enum.find_index(read, &(&1 == :error)) do
+    case Enum.find_index(read, &(&1 == :error)) || twice(read) do
       nil ->
         next = read |> Enum.map(&number/1) |> Enum.max(fn -> 0 end)
         {:ok, %Layout{name: name, rows: read, next: next + 1}}
 
+      {:twice, id} ->
+        bad("two panels have the id #{id}")
+
       i ->
         bad("panel #{i + 1} is not one")
     end
+  end
+
+  defp twice(panels) do
+    ids = Enum.map(panels, & &1.id)
+    with [id | _] <- ids -- Enum.uniq(ids), do: {:twice, id}, else: (_ -> nil)
   end
 
   defp read_panel(%{"id" => id, "panel" => panel, "vis" => vis} = doc)

@@ -16,10 +16,10 @@ defmodule Situ.Studio.Web.LayoutMenu do
 
     wanted = params["layout"] || Settings.load(socket.assigns.layout_dir).layout
 
-    saved =
+    {saved, socket} =
       case Layouts.load(socket.assigns.layout_dir, text(wanted)) do
-        {:ok, layout} -> layout
-        {:error, _} -> auto
+        {:ok, layout} -> {layout, socket}
+        {:error, error} -> {auto, if(wanted == auto.name, do: socket, else: toast(socket, error))}
       end
 
     layout =

@@ -20,6 +20,7 @@ defmodule Situ.Studio.Web.SettingsView do
        folder: known.layouts,
        read_only: known.read_only or session["viewer"] == true,
        settings: Settings.load(known.layouts),
+       problems: Layouts.problems(known.layouts),
        names: Enum.uniq(names)
      )}
   end
@@ -73,6 +74,7 @@ defmodule Situ.Studio.Web.SettingsView do
                   selected={value == @settings.info}>{text}</option>
             </select></div>
         </form>
+        <p :for={{path, error} <- @problems} class="hint">{Path.basename(path)} among the layouts: {error.what}.</p>
         <form id="alert-settings" phx-submit="alerts">
           <div class="field"><label for="setting-alerts">Alerts of running pipelines, a line each: a name, a colon, and
             an expression over streams and statistics</label>
