@@ -147,6 +147,22 @@ defmodule Situ.Dataset.DerivationTest do
     assert report.cancelled?
   end
 
+  test "a session whose recordings are all missing fails; one with others goes on", %{
+    tmp_dir: root
+  } do
+    dataset = dataset(root, 2)
+    lost = Dataset.Partition.new("Lost", Path.join(root, "nowhere.0000"))
+    {:ok, dataset} = Dataset.update_session(dataset, "p1", &Dataset.Session.add(&1, lost))
+
+    {:ok, dataset} = Dataset.update_session(dataset, "p2", &{:ok, put_in(&1.partitions, [lost])})
+
+    copy = Situ.Dataset.Task.DropStreams
+    {:ok, _, report} = Dataset.derive(dataset, copy, output: "Shared", options: [drop: ["x"]])
+    assert statuses(report) == [{"p1", :done}, {"p2", :failed}]
+    assert [{"p2", %{what: what}}] = Report.failures(report)
+    assert what =~ "nowhere.0000"
+  end
+
   # Of the `n` sessions the one numbered `long` lasts a hundred seconds, the others nine milliseconds.
   defp uneven(root, n, long) do
     {:ok, dataset} = Dataset.new("Study", file: Path.join(root, "study.json"))

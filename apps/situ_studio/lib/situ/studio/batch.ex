@@ -1,13 +1,14 @@
 defmodule Situ.Studio.Batch do
   @moduledoc """
   The batch runs of a studio. They go on when the page that began them is closed, and every page of the dataset sees
-  them. A run that dies with the server is taken up by the next of the same output (`Situ.Dataset.Derivation`).
+  them. A run that dies with the server is offered again (`Situ.Studio.Batch.Left`), and does what is not done
+  (`Situ.Dataset.Derivation`).
   """
   use GenServer
 
   alias Situ.Dataset.{Derivation, Server, Task}
   alias Situ.Error
-  alias Situ.Studio.Batch.Run
+  alias Situ.Studio.Batch.{Left, Run}
   alias Situ.Studio.Datasets
 
   # How often pages are updated, and how many finished runs are kept.
@@ -38,7 +39,9 @@ defmodule Situ.Studio.Batch do
          {:ok, dataset} <- Datasets.refresh(server, file),
          {:ok, chosen} <- chosen(dataset, sessions) do
       opts = Keyword.put_new(opts, :output, output)
-      job = {module, chosen, [options: options] ++ opts}
+      note = %{task: task, sessions: Enum.map(chosen, & &1.name), config: config}
+      note = Map.merge(note, %{output: opts[:output], parallel: opts[:parallel] || 1})
+      job = {module, chosen, [options: options] ++ opts, note}
       GenServer.call(via(studio), {:start, {server, file}, task, job})
     end
   end
@@ -64,7 +67,13 @@ defmodule Situ.Studio.Batch do
     {:reply, of(state, file), %{state | subscribers: subscribers}}
   end
 
-  def handle_call({:start, {_, file} = dataset, task, {_, sessions, opts} = job}, _from, state) do
+  def handle_call(
+        {:start, {_, file} = dataset, task, {module, sessions, opts, note}},
+        _from,
+        state
+      ) do
+    job = {module, sessions, opts}
+
     if busy?(state, file, opts[:output]) do
       {:reply, {:error, busy(opts[:output] || task)}, state}
     else
@@ -81,6 +90,7 @@ defmodule Situ.Studio.Batch do
         began: now()
       }
 
+      :ok = Left.note(file, note)
       %{ref: ref} = work(self(), id, dataset, job, cancel)
       state = %{state | next: id + 1, tasks: Map.put(state.tasks, ref, id)}
       {:reply, {:ok, id}, tell(%{state | runs: Enum.take([run | state.runs], @kept)})}
@@ -138,6 +148,7 @@ defmodule Situ.Studio.Batch do
 
   defp over(state, ref, result) do
     {id, tasks} = Map.pop!(state.tasks, ref)
+    for %Run{id: ^id, file: file, output: output} <- state.runs, do: Left.forget(file, output)
     tell(change(%{state | tasks: tasks}, id, &Run.finish(&1, result, now())))
   end
 

@@ -160,6 +160,37 @@ defmodule Situ.Studio.DatasetsTest do
     assert_receive {:batch, _, [%{id: 3, error: %{code: :partition_exists}} | _]}, 60_000
   end
 
+  test "a run that ended with its studio is offered again, and does what is not done", context do
+    %{studio: studio, study: file, dir: dir} = context
+    sessions = ["a/b", "c"]
+    done = Path.join(dir, "Doubled.0007")
+    # as a studio that was killed leaves it
+    File.rename!(record(dir, "Doubled", 10), done)
+
+    File.write!(
+      file <> ".Doubled.batch",
+      Situ.JSON.encode(%{
+        task: "doubled",
+        output: "Doubled",
+        sessions: sessions,
+        config: %{by: 5},
+        pid: "999999999"
+      })
+    )
+
+    File.write!(file <> ".Doubled.run", Situ.JSON.encode(%{done: "a/b", path: done}) <> "\n")
+    page = mount(studio)
+    assert Page.text(page, ".runs") =~ "Ended with the studio that ran it, over 2"
+    Batch.subscribe(studio, file)
+    Page.event(page, "run_continue", %{"output" => "Doubled"})
+    assert_receive {:batch, ^file, [%{status: :done, report: %{results: results}}]}, 60_000
+    assert Enum.map(results, &{&1.session, &1.status}) == [{"a/b", :kept}, {"c", :done}]
+    {:ok, _, source} = Catalog.open(studio, "study.json/c/Doubled")
+    assert {:ok, %{data: 25}} = Source.call(source, :latest_at, ["Level", 35 * @s])
+    refute File.exists?(file <> ".Doubled.batch")
+    assert Page.count(page, ".run.left") == 0
+  end
+
   test "the page: tree, search, edits, and what may not be", %{studio: studio, study: file} do
     page = mount(studio)
     assert Page.count(page, "#tree .session") == 3

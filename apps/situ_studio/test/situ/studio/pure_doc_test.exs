@@ -53,6 +53,7 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Figures
   doctest Situ.Studio.Members
   doctest Situ.Studio.Batch.Run
+  doctest Situ.Studio.Batch.Left
   doctest Situ.Studio.Batch.Form
   doctest Situ.Studio.Batch.Configurations
   doctest Situ.Studio.Web.Dataset.Rows

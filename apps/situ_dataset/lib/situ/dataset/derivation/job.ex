@@ -63,9 +63,14 @@ defmodule Situ.Dataset.Derivation.Job do
 
   defp build(p, job) do
     importer = Importer.open(p, job.session)
+    there!(importer.session)
     exporter = job.draft && Store.create(p, Path.basename(job.path), job.draft, versioned: false)
     computed(job.compute, p, importer, exporter, job)
   end
+
+  # Of a session without any recording that opens nothing can be made: an empty output would say otherwise.
+  defp there!(%{stores: [], troubles: [{_, error} | _]}), do: raise(error)
+  defp there!(_), do: :ok
 
   defp computed(fun, p, importer, exporter, _job) when is_function(fun, 3),
     do: fun.(p, importer, exporter)

@@ -5,6 +5,7 @@ defmodule Situ.Studio.Web.DatasetView do
 
   alias Situ.Dataset.Server
   alias Situ.Studio.{Batch, Catalog, Datasets, Export, Figures}
+  alias Situ.Studio.Batch.Left
   alias Situ.Studio.Datasets.Facts
   alias Situ.Studio.Web.Dataset.{BatchDialog, Dialogs, Edits, Page}
   alias Situ.Studio.Web.Chrome
@@ -33,6 +34,7 @@ defmodule Situ.Studio.Web.DatasetView do
         selected: [],
         dialog: nil,
         runs: [],
+        left: [],
         now: now(),
         error: nil
       )
@@ -42,6 +44,7 @@ defmodule Situ.Studio.Web.DatasetView do
       runs = Batch.subscribe(studio, file)
       if connected?(socket), do: Process.send_after(self(), :refresh, @refresh_ms)
       socket = assign(socket, file: file, server: server, dataset: Server.get(server), runs: runs)
+      socket = assign(socket, left: Left.all(file))
       {:ok, if(connected?(socket), do: look(socket), else: socket)}
     else
       {:error, error} -> {:ok, assign(socket, error: error)}
@@ -196,7 +199,7 @@ defmodule Situ.Studio.Web.DatasetView do
     <div id="dataset" class="dataset" phx-hook="Lists">
       <Page.top title={@dataset.name} file={@file} read_only={@read_only} kept={@dataset.file != nil} />
       <Page.tree {Map.take(assigns, [:dataset, :facts, :open, :query, :info, :selected, :id, :tasks, :read_only])} />
-      <Page.right {Map.take(assigns, [:dataset, :facts, :selected, :id, :read_only, :runs, :now])} />
+      <Page.right {Map.take(assigns, [:dataset, :facts, :selected, :id, :read_only, :runs, :left, :now])} />
       <Dialogs.dialog :if={@dialog != nil} dialog={@dialog} />
       <div id="toast" role="status" phx-update="ignore"></div>
     </div>

@@ -2,10 +2,11 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
   @moduledoc false
   # Running a batch task: its options as a form, the sessions it runs over, options that were saved before.
   use Situ.Live.Component
+  import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Live.Socket
   alias Situ.Studio.Batch
-  alias Situ.Studio.Batch.{Configurations, Form}
+  alias Situ.Studio.Batch.{Configurations, Form, Left}
   alias Situ.Studio.Web.Dataset.Rows
 
   @doc "Opens it for the task of that name, over one session or all that the search has found."
@@ -40,6 +41,28 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
   def handle_event("run_cancel", %{"run" => run}, socket) do
     with {id, ""} <- Integer.parse(to_string(run)), do: Batch.cancel(socket.assigns.studio, id)
     socket
+  end
+
+  # One that ended with the studio that ran it: what is done is kept.
+  def handle_event("run_continue", %{"output" => output}, %{assigns: assigns} = socket) do
+    with %{} = left <- Enum.find(assigns.left, &(to_string(&1.output) == output)),
+         opts = [output: left.output, parallel: left.parallel],
+         dataset = {assigns.server, assigns.file},
+         {:ok, _} <-
+           Batch.start(assigns.studio, dataset, left.task, left.sessions, left.config, opts) do
+      assign(socket, left: Left.all(assigns.file))
+    else
+      {:error, error} -> push_event(socket, "toast", %{text: Exception.message(error)})
+      nil -> socket
+    end
+  end
+
+  def handle_event("run_leave", %{"output" => output}, %{assigns: assigns} = socket) do
+    for left <- assigns.left,
+        to_string(left.output) == output,
+        do: Left.forget(assigns.file, left.output)
+
+    assign(socket, left: Left.all(assigns.file))
   end
 
   def handle_event("run_pick", %{"saved" => name}, %{assigns: %{dialog: {:task, state}}} = socket) do

@@ -98,6 +98,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
   attr(:id, :string, required: true)
   attr(:read_only, :boolean, required: true)
   attr(:runs, :list, required: true)
+  attr(:left, :list, required: true)
   attr(:now, :integer, required: true)
 
   @doc false
@@ -106,7 +107,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
 
     ~H"""
     <aside class="dataset-side" aria-label="Properties and runs">
-      <.runs :if={@runs != []} runs={@runs} now={@now} read_only={@read_only} />
+      <.runs :if={@runs != [] or @left != []} runs={@runs} left={@left} now={@now} read_only={@read_only} />
       <.properties :if={@shown} id={"props-#{:erlang.phash2(@selected)}"} read_only={@read_only}
           {Map.take(@shown, [:title, :rows, :name, :tags, :metadata, :stream])} />
       <p :if={@shown == nil} class="hint">This is no longer in the dataset.</p>
@@ -237,6 +238,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
   end
 
   attr(:runs, :list, required: true)
+  attr(:left, :list, required: true)
   attr(:now, :integer, required: true)
   attr(:read_only, :boolean, required: true)
 
@@ -244,6 +246,17 @@ defmodule Situ.Studio.Web.Dataset.Page do
     ~H"""
     <section class="runs" aria-label="Batch runs">
       <h2>Batch runs</h2>
+      <div :for={left <- @left} :key={left.task <> to_string(left.output)} class="run left">
+        <div class="head"><b>{left.task}</b><span :if={left.output}> to {left.output}</span></div>
+        <p class="hint">Ended with the studio that ran it, over {length(left.sessions)}
+          {if length(left.sessions) == 1, do: "session", else: "sessions"}. Sessions that are done are kept.</p>
+        <div :if={not @read_only} class="choices">
+          <button class="btn primary" type="button" phx-click="run_continue"
+              phx-value-output={to_string(left.output)}>Go on with it</button>
+          <button class="btn" type="button" phx-click="run_leave"
+              phx-value-output={to_string(left.output)}>Leave it</button>
+        </div>
+      </div>
       <div :for={run <- @runs} :key={run.id} id={"run-#{run.id}"} class={["run", to_string(run.status)]}>
         <div class="head"><b>{run.task}</b><span :if={run.output}> to {run.output}</span>
           <span class="grow"></span>

@@ -1,0 +1,71 @@
+defmodule Situ.Studio.Batch.Left do
+  @moduledoc """
+  Batch runs that ended with the studio that ran them: a file beside the dataset says of each how it was begun, until
+  it is over. A page offers to go on with them.
+
+      iex> file = Path.join(System.tmp_dir!(), "situ-doc-left.json")
+      iex> Situ.Studio.Batch.Left.note(file, %{task: "faces", output: "Faces", sessions: ["p1"], config: %{}})
+      :ok
+      iex> Situ.Studio.Batch.Left.all(file)
+      []
+      iex> path = file <> ".Faces.batch"
+      iex> File.write!(path, String.replace(File.read!(path), System.pid(), "999999999"))
+      iex> [%{task: "faces", output: "Faces", sessions: ["p1"], config: %{}}] = Situ.Studio.Batch.Left.all(file)
+      iex> Situ.Studio.Batch.Left.forget(file, "Faces")
+      iex> Situ.Studio.Batch.Left.all(file)
+      []
+  """
+  @type t :: %{
+          task: String.t(),
+          output: String.t() | nil,
+          sessions: [String.t()],
+          config: map(),
+          parallel: pos_integer()
+        }
+
+  @doc "Notes that a run begins. A folder that takes no file takes no note either; the run goes on without it."
+  @spec note(Path.t(), map()) :: :ok
+  def note(file, run) do
+    text = run |> Map.put(:pid, System.pid()) |> Situ.JSON.encode()
+    _ = File.write(path(file, run.output), text)
+    :ok
+  end
+
+  @doc "It is over, or nobody wants the rest."
+  @spec forget(Path.t(), String.t() | nil) :: :ok
+  def forget(file, output) do
+    _ = File.rm(path(file, output))
+    :ok
+  end
+
+  @doc "Those whose studio is gone."
+  @spec all(Path.t()) :: [t()]
+  def all(file) do
+    start = Path.basename(file) <> "."
+
+    with {:ok, names} <- File.ls(Path.dirname(file)) do
+      for name <- Enum.sort(names),
+          String.starts_with?(name, start) and String.ends_with?(name, ".batch"),
+          {:ok, text} <- [File.read(Path.join(Path.dirname(file), name))],
+          {:ok, %{"task" => task, "sessions" => sessions, "pid" => pid} = run} <-
+            [Situ.JSON.decode(text)],
+          is_binary(task) and is_list(sessions) and is_binary(pid) and gone?(pid),
+          do: %{
+            task: task,
+            output: run["output"],
+            sessions: Enum.filter(sessions, &is_binary/1),
+            config: if(is_map(run["config"]), do: run["config"], else: %{}),
+            parallel: if(is_integer(run["parallel"]), do: max(run["parallel"], 1), else: 1)
+          }
+    else
+      _ -> []
+    end
+  end
+
+  # Of this studio itself it would still be running, and say so.
+  defp gone?(pid), do: pid != System.pid() and not File.exists?("/proc/" <> pid)
+
+  defp path(file, output) do
+    "#{file}.#{String.replace(output || "-", ~r/[^\w.-]/u, "_")}.batch"
+  end
+end
