@@ -49,7 +49,7 @@ defmodule Situ.Infer.ActiveSpeaker do
       type: {:range, 0, 1},
       default: 0.25,
       doc:
-        "A mouth that agrees less than this with a voice of 1.2 s and more, and is closed again and again while it " <>
+        "A mouth that agrees less than this with a voice of 0.9 s and more, and is closed again and again while it " <>
           "is loud, is not the speaker's: somebody chews while another one talks. 0 leaves it the speaker's."
     ]
   ]
@@ -75,7 +75,7 @@ defmodule Situ.Infer.ActiveSpeaker do
        speaker.
     4. Once found, a speaker stays the speaker while the mouth moves and the voice goes on, unless another face agrees
        much better: within fluent speech lips and loudness agree less than at its beginning. But lips that go their
-     own way for more than a second, closed where the voice is loud, are not the speaker's, however much they move.
+     own way for almost a second, closed where the voice is loud, are not the speaker's, however much they move.
 
   The decision depends only on the messages, never on their arrival: the same recording gives the same answers.
 
@@ -104,7 +104,7 @@ defmodule Situ.Infer.ActiveSpeaker do
   # A mouth begins to move up to this long before or after its voice is heard.
   @onset_ns 400_000_000
   # Lips and voice are compared over so long before one is doubted: chance agreement over less is common.
-  @doubt_ns 1_200_000_000
+  @doubt_ns 900_000_000
   @memory_ns 2_000_000_000
 
   defstruct [
