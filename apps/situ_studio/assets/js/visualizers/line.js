@@ -12,7 +12,7 @@ export const line = {
   extent: ({ series }, view) => series.extent(view[0], view[1]),
 
   draw(ctx, { series }, { view, x, y, color, ratio, props }) {
-    const { interpolation, width, markers } = props;
+    const { interpolation, width, markers, marker, size } = props;
     paint.line(ctx, series, view, x, y, {
       color,
       ratio,
@@ -20,12 +20,14 @@ export const line = {
       step: interpolation === "step",
       joined: interpolation !== "none",
       points: markers === true || interpolation === "none",
+      marker: markers === true ? marker : "circle",
+      size: markers === true ? size : undefined,
     });
   },
 
   text({ layer, series }, i) {
     if (!Number.isFinite(series.last[i])) return "";
-    const unit = layer.vis.props?.unit;
-    return number(series.last[i], 5) + (unit ? " " + unit : "");
+    const { unit, digits } = layer.vis.props ?? {};
+    return number(series.last[i], digits ?? 5) + (unit ? " " + unit : "");
   },
 };

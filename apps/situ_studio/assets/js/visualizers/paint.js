@@ -9,7 +9,7 @@ export function line(
   view,
   x,
   y,
-  { color, width = 1.25, step = false, joined = true, points = false, ratio = 1 },
+  { color, width = 1.25, step = false, joined = true, points = false, marker = "circle", size = 5, ratio = 1 },
 ) {
   const n = s.length;
   if (!n) return;
@@ -56,7 +56,8 @@ export function line(
   if (joined) ctx.stroke();
   // dots show single messages, as long as they are apart
   const apart = b > a ? (x(s.t[b]) - x(s.t[a])) / (b - a) : Infinity;
-  if (points || (s.raw && apart > SPACING * ratio)) dots(ctx, s, a, b, x, y, points ? 2.5 * ratio : 1.75 * ratio);
+  if (points || (s.raw && apart > SPACING * ratio))
+    dots(ctx, s, a, b, x, y, points ? (size / 2) * ratio : 1.75 * ratio, points ? marker : "circle");
 }
 
 function band(ctx, s, a, b, x, y) {
@@ -79,17 +80,44 @@ function band(ctx, s, a, b, x, y) {
   ctx.globalAlpha = 1;
 }
 
-function dots(ctx, s, a, b, x, y, r) {
+// The outlines of markers around a place; those of strokes only are drawn as such.
+const MARKERS = {
+  circle: (ctx, x, y, r) => {
+    ctx.moveTo(x + r, y);
+    ctx.arc(x, y, r, 0, 2 * Math.PI);
+  },
+  square: (ctx, x, y, r) => ctx.rect(x - r, y - r, 2 * r, 2 * r),
+  triangle: (ctx, x, y, r) => polygon(ctx, [x, y - r], [x + r, y + r], [x - r, y + r]),
+  diamond: (ctx, x, y, r) => polygon(ctx, [x, y - r], [x + r, y], [x, y + r], [x - r, y]),
+  plus: (ctx, x, y, r) => strokes(ctx, [x - r, y, x + r, y], [x, y - r, x, y + r]),
+  cross: (ctx, x, y, r) => strokes(ctx, [x - r, y - r, x + r, y + r], [x - r, y + r, x + r, y - r]),
+};
+
+function polygon(ctx, first, ...others) {
+  ctx.moveTo(...first);
+  for (const p of others) ctx.lineTo(...p);
+  ctx.closePath();
+}
+
+function strokes(ctx, ...lines) {
+  for (const [a, b, c, d] of lines) {
+    ctx.moveTo(a, b);
+    ctx.lineTo(c, d);
+  }
+}
+
+function dots(ctx, s, a, b, x, y, r, marker) {
+  const outline = MARKERS[marker] ?? MARKERS.circle;
   ctx.beginPath();
   for (let i = a; i <= b; i++) {
     const v = s.last[i];
     if (!Number.isFinite(v)) continue;
     const px = x(s.t[i]),
       py = y(v);
-    ctx.moveTo(px + r, py);
-    ctx.arc(px, py, r, 0, 2 * Math.PI);
+    outline(ctx, px, py, r);
   }
-  ctx.fill();
+  if (marker === "plus" || marker === "cross") ctx.stroke();
+  else ctx.fill();
 }
 
 // Audio: one filled shape between the extremes, at least a hair thick so that silence shows.

@@ -1,6 +1,9 @@
 // The text at the cursor, large.
 
 import { KIND } from "../data/wire.js";
+import { duration } from "../time/text.js";
+
+const OLD = 1e9;
 
 export class TextPanel {
   constructor(el, app, config) {
@@ -8,32 +11,43 @@ export class TextPanel {
     el.classList.add("text-cell");
     this.body = el.appendChild(document.createElement("div"));
     this.body.className = "big-text";
+    this.age = el.appendChild(document.createElement("div"));
+    this.age.className = "cell-info";
     this.configure(config);
   }
 
   configure(config) {
     const vis = config.vis[0];
-    const key = vis ? JSON.stringify([vis.stream, vis.path]) : "";
+    const key = vis ? JSON.stringify([vis.stream, vis.path, vis.asked]) : "";
     if (key === this.key) return;
     this.key = key;
     this.app.client.close(this.channel);
     this.channel = vis
-      ? this.app.client.open({ stream: vis.stream, viz: vis.viz, path: vis.path }, (f) => this.accept(f), {
-          instant: true,
-        })
+      ? this.app.client.open(
+          { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} },
+          (f) => this.accept(f),
+          { instant: true },
+        )
       : null;
   }
 
   accept(f) {
     this.text = f.kind === KIND.json ? f.value.text : f.kind === KIND.error ? f.message : "";
+    this.at = f.kind === KIND.json ? f.at : null;
     this.app.schedule(this);
   }
 
   render() {
     if (this.body.textContent !== this.text) this.body.textContent = this.text ?? "";
+    this.cursorMoved();
   }
 
-  cursorMoved() {}
+  // How long ago it was said.
+  cursorMoved() {
+    const age = this.at == null ? 0 : this.app.time.get().cursor - this.at;
+    const text = age >= OLD ? `${duration(age)} ago` : "";
+    if (this.age.textContent !== text) this.age.textContent = text;
+  }
   themeChanged() {}
 
   destroy() {

@@ -2,7 +2,8 @@
 // Nodes come as [kind, text, children]: children are [key, node, path]; texts are only ever set as textContent.
 
 import { KIND } from "../data/wire.js";
-import { absolute, duration } from "../time/text.js";
+import { shown } from "../time/clock.js";
+import { duration } from "../time/text.js";
 import { copy } from "../page/toast.js";
 
 export class ValuePanel {
@@ -24,7 +25,7 @@ export class ValuePanel {
 
   configure(config) {
     const vis = config.vis[0];
-    const key = vis ? JSON.stringify([vis.stream, vis.path]) : "";
+    const key = vis ? JSON.stringify([vis.stream, vis.path, vis.asked]) : "";
     this.vis = vis;
     if (key === this.key) return;
     this.key = key;
@@ -33,7 +34,7 @@ export class ValuePanel {
     this.value = null;
     this.previous = new Map();
     if (!vis) return;
-    const spec = { stream: vis.stream, viz: vis.viz, path: vis.path };
+    const spec = { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} };
     this.channel = this.app.client.open(spec, (f) => this.accept(f), { instant: true });
   }
 
@@ -53,7 +54,7 @@ export class ValuePanel {
     }
     const origin = this.app.client.origin ?? 0n;
     const rel = Number(BigInt(v.time) - origin);
-    const at = absolute(rel, origin).slice(11);
+    const at = shown(rel, this.app.client.origin);
     this.head.textContent = `#${v.sequence}   ${at}   latency ${duration(v.latency)}   ${v.type}`;
     const lines = [];
     this.collect(v.tree, "value", "", 0, lines);

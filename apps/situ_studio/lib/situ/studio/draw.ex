@@ -69,7 +69,7 @@ defmodule Situ.Studio.Draw do
     if draws?(viz, :instant, 3) or draws?(viz, :instant, 4) do
       {last, kept} = last || {nil, %{}}
 
-      case Source.call(source, :latest_at, [stream, time]) do
+      case message(source, stream, time, Map.get(spec, :props, %{})) do
         {:ok, %{data: %Hole{}}} ->
           {if(last == :hole, do: Frame.same(channel), else: Frame.none(channel)), {:hole, kept}}
 
@@ -91,6 +91,38 @@ defmodule Situ.Studio.Draw do
       end
     else
       {Frame.error(channel, "#{inspect(viz.id)} is not drawn at the cursor"), nil}
+    end
+  end
+
+  # The message of the cursor: the last at or before it, unless the page wants one that is near enough on either side.
+  defp message(source, stream, time, props) do
+    before = Source.call(source, :latest_at, [stream, time])
+
+    case {span(props["past"], :infinity), span(props["future"], 0)} do
+      {:infinity, 0} -> before
+      {past, 0} -> nearest([{before, past}], time)
+      {past, future} -> nearest([{before, past}, {after_it(source, stream, time), future}], time)
+    end
+  end
+
+  defp after_it(source, stream, time), do: Source.call(source, :next_after, [stream, time])
+
+  defp span(seconds, _) when is_number(seconds) and seconds >= 0, do: round(seconds * 1.0e9)
+  defp span(_, usual), do: usual
+
+  # Atoms are greater than every number.
+  defp nearest([{{:error, _} = error, _} | _], _time), do: error
+
+  defp nearest(found, time) do
+    near =
+      for {{:ok, message}, span} <- found,
+          away = abs(time - message.originating_time),
+          away <= span,
+          do: {away, message}
+
+    case Enum.sort_by(near, &elem(&1, 0)) do
+      [{_, message} | _] -> {:ok, message}
+      [] -> :none
     end
   end
 

@@ -30,9 +30,16 @@ defmodule Situ.Studio.Visualizers.Depth do
           invalid: [type: {:range, -1, 65_535}, title: "No reading is", default: 0],
           invalid_color: [type: :color, title: "drawn in", auto: "see-through"],
           scale: [type: :boolean, title: "Colour scale", default: true]
-        ]
+        ] ++ Option.near()
 
-    %Visualizer{id: "depth", title: "Depth", panel: :image, shapes: [:depth], options: options}
+    %Visualizer{
+      id: "depth",
+      title: "Depth",
+      panel: :image,
+      shapes: [:depth],
+      options: options,
+      asks: Option.asks()
+    }
   end
 
   @impl true

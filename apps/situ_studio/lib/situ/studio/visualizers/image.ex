@@ -7,8 +7,16 @@ defmodule Situ.Studio.Visualizers.Image do
 
   @impl true
   def about do
-    options = Option.visible() ++ Option.flip()
-    %Visualizer{id: "image", title: "Picture", panel: :image, shapes: [:image], options: options}
+    options = Option.visible() ++ Option.flip() ++ Option.near()
+
+    %Visualizer{
+      id: "image",
+      title: "Picture",
+      panel: :image,
+      shapes: [:image],
+      options: options,
+      asks: Option.asks()
+    }
   end
 
   @impl true

@@ -35,14 +35,15 @@ defmodule Situ.Studio.Visualizers.Masks do
           opacity: [type: {:range, 5, 100}, title: "Opacity in %", default: 45],
           labels: [type: :boolean, title: "Labels", default: true],
           fit: [type: {:in, @fits}, title: "Classes cover", default: "pad"]
-        ]
+        ] ++ Option.near()
 
     %Visualizer{
       id: "masks",
       title: "Masks over pictures",
       panel: :image,
       shapes: [:masks, :image],
-      options: options
+      options: options,
+      asks: Option.asks()
     }
   end
 

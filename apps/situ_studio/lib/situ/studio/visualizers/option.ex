@@ -11,6 +11,21 @@ defmodule Situ.Studio.Visualizers.Option do
   @spec flip() :: keyword()
   def flip, do: [flip: [type: :boolean, title: "Mirror", default: false]]
 
+  @longest 1.0e6
+
+  # Which message counts as that of the cursor: the last one at or before it, or one that is near enough.
+  @spec near() :: keyword()
+  def near do
+    [
+      past: [type: {:range, 0, @longest}, title: "Holds for, s", auto: "until the next"],
+      future: [type: {:range, 0, @longest}, title: "Shown before, s", auto: "0"]
+    ]
+  end
+
+  @doc "What the server is told of `near/0`."
+  @spec asks() :: [atom()]
+  def asks, do: [:past, :future]
+
   # So many channels can be chosen.
   @channels 8
 
@@ -20,6 +35,8 @@ defmodule Situ.Studio.Visualizers.Option do
     [channel: [type: {:in, [{"all", "all"} | one]}, title: "Channel", default: "all"]]
   end
 
+  @markers ["circle", "square", "triangle", "diamond", "plus", "cross"]
+
   @spec line() :: keyword()
   def line do
     joins = [{"direct", "straight"}, {"step", "steps"}, {"none", "points only"}]
@@ -28,6 +45,14 @@ defmodule Situ.Studio.Visualizers.Option do
       interpolation: [type: {:in, joins}, title: "Joins", default: "direct"],
       width: [type: {:range, 0.5, 6}, title: "Width", default: 1.25],
       markers: [type: :boolean, title: "Markers", default: false],
+      marker: [
+        type: {:in, @markers},
+        title: "Their shape",
+        default: "circle",
+        only: {:markers, true}
+      ],
+      size: [type: {:range, 1, 20}, title: "Their size", default: 5, only: {:markers, true}],
+      digits: [type: {:range, 1, 15}, title: "Digits of values", default: 5],
       unit: [type: :text, title: "Unit"]
     ]
   end

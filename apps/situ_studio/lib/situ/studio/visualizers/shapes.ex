@@ -26,10 +26,16 @@ defmodule Situ.Studio.Visualizers.Shapes do
           labels: [type: :boolean, title: "Labels", default: true],
           width: [type: {:range, 0.5, 8}, title: "Width", default: 2],
           radius: [type: {:range, 0.5, 20}, title: "Point radius"]
-        ]
+        ] ++ Option.near()
 
-    title = "Shapes over pictures"
-    %Visualizer{id: "shapes", title: title, panel: :image, shapes: [:shapes], options: options}
+    %Visualizer{
+      id: "shapes",
+      title: "Shapes over pictures",
+      panel: :image,
+      shapes: [:shapes],
+      options: options,
+      asks: Option.asks()
+    }
   end
 
   @impl true

@@ -3,11 +3,21 @@ defmodule Situ.Studio.Visualizers.Text do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Visualizer}
+  alias Situ.Studio.Visualizers.Option
 
   @max_text 20_000
 
   @impl true
-  def about, do: %Visualizer{id: "text", title: "Text", panel: :text, shapes: [:text]}
+  def about do
+    %Visualizer{
+      id: "text",
+      title: "Text",
+      panel: :text,
+      shapes: [:text],
+      options: Option.near(),
+      asks: Option.asks()
+    }
+  end
 
   @impl true
   def instant(channel, data, message),

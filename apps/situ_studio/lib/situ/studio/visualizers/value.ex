@@ -3,9 +3,19 @@ defmodule Situ.Studio.Visualizers.Value do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, ValueTree, Visualizer}
+  alias Situ.Studio.Visualizers.Option
 
   @impl true
-  def about, do: %Visualizer{id: "value", title: "Value", panel: :value, shapes: :any}
+  def about do
+    %Visualizer{
+      id: "value",
+      title: "Value",
+      panel: :value,
+      shapes: :any,
+      options: Option.near(),
+      asks: Option.asks()
+    }
+  end
 
   @impl true
   def instant(channel, data, message) do

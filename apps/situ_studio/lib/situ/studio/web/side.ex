@@ -215,7 +215,7 @@ defmodule Situ.Studio.Web.Side do
     <select :if={match?({:in, _}, @type)} id={@id} name={@name}><option :for={{v, title} <- choices(@type)}
         value={v} selected={v == @value}>{title}</option></select>
     <input :if={match?({:range, _, _}, @type) or @type == :text} id={@id} name={@name} value={plain(@value)}
-        phx-debounce="400">
+        placeholder={@option[:auto]} phx-debounce="400">
     """
   end
 
