@@ -108,6 +108,9 @@ function folding(app, node) {
   ];
 }
 
+// Drawers that show the message at the cursor.
+const HELD = ["image", "depth", "shapes", "masks", "text", "value", "bars"];
+
 const short = (text) => (text.length > 32 ? `${text.slice(0, 31)}…` : text);
 
 // A stream's name in an expression; for a derived stream its expression, to be changed.
@@ -126,6 +129,7 @@ function panelItems(app, panel, legend, event) {
       { text: hidden ? "Show it" : "Hide it", run: () => push("show_vis", { index }) },
       { text: "Only this one", run: () => push("show_vis", { index, only: "true" }), disabled: vis.length < 2 },
       { text: "Take it out", run: () => push("remove_vis", { index: String(index) }) },
+      ...own(app, vis[index], (name, value) => push("prop", property(index, name, value))),
       "-",
     );
   }
@@ -146,8 +150,13 @@ function panelItems(app, panel, legend, event) {
       "-",
     );
   }
+  const streams = vis.map((v) => v.stream);
   items.push(
     { text: "Properties", run: () => push("select_panel") },
+    { text: "Zoom to its streams", run: () => push("zoom_stream", { streams }), disabled: !vis.length },
+    ...(vis.length > 1 ? [{ text: "Show all", run: () => push("show_vis", { all: "true" }) }] : []),
+    ...(vis.length > 1 ? [{ text: "Hide all", run: () => push("show_vis", { all: "false" }) }] : []),
+    ...holding(panel, vis, push),
     { text: panel.matches(".maxed") ? "Restore" : "Maximise", hint: "m", run: () => push("maximise") },
     { text: "Move up", run: () => push("shift_panel", { way: "up" }) },
     { text: "Move down", run: () => push("shift_panel", { way: "down" }) },
@@ -200,6 +209,46 @@ function aligning(app, body, event) {
     { text: `Align: a moment of ${title}`, run: () => compare.mark("first", t) },
     { text: `Align: a moment of ${other}`, run: () => compare.mark("second", t) },
   ];
+}
+
+// A property of one of a panel's streams, as its form would send it.
+const property = (index, name, value) => ({
+  index: String(index),
+  props: { [name]: value },
+  _target: ["props", name],
+});
+
+// Of one line: what it is about, and what it can be switched to.
+function own(app, { stream, draw, props }, set) {
+  const { snap } = app.client;
+  const push = (event) => app.options.push?.(event, { stream });
+  const on = (name, yes, no) => ({
+    text: props?.[name] ? no : yes,
+    run: () => set(name, props?.[name] ? "false" : "true"),
+  });
+  return [
+    { text: "Zoom to it", run: () => push("zoom_stream") },
+    ...(draw === "waveform" ? [on("mute", "Mute", "Hear it")] : []),
+    ...(["line", "lines"].includes(draw) ? [on("markers", "Show markers", "Hide markers")] : []),
+    ...(draw === "waveform"
+      ? []
+      : [{ text: snap === stream ? "Release the cursor" : "Snap the cursor to it", run: () => push("snap") }]),
+  ];
+}
+
+// For how long the values of a panel at the cursor hold: some seconds, or until the next.
+function holding(panel, vis, push) {
+  if (panel.matches(".timeline") || !vis.some((v) => HELD.includes(v.draw))) return [];
+  const now = vis[0].props?.past ?? "";
+  return [
+    ["", "until the next"],
+    ["5", "5 s"],
+    ["1", "1 s"],
+    ["0.05", "50 ms"],
+  ].map(([past, text]) => ({
+    text: `${String(now) === past ? "✓ " : ""}Values hold ${text}`,
+    run: () => vis.forEach((_, i) => push("prop", property(i, "past", past))),
+  }));
 }
 
 // The selection, or the view where there is none, and which of the two it is.

@@ -34,6 +34,23 @@ defmodule Situ.Studio.Coverage do
         do: {s.name, ends}
   end
 
+  @doc """
+  From the first message of all streams to the last, `nil` where none has any.
+
+      iex> stream = fn first, last -> %Situ.Studio.StreamInfo{name: "", shape: :signal, first: first, last: last} end
+      iex> Situ.Studio.Coverage.all([stream.(5, 9), stream.(nil, nil), stream.(7, nil)])
+      {5, 9}
+      iex> Situ.Studio.Coverage.all([stream.(nil, nil)])
+      nil
+  """
+  @spec all([StreamInfo.t()]) :: {Situ.Time.t(), Situ.Time.t()} | nil
+  def all(streams) do
+    case for %{first: first, last: last} when first != nil <- streams, do: {first, last || first} do
+      [] -> nil
+      some -> {Enum.min(Enum.map(some, &elem(&1, 0))), Enum.max(Enum.map(some, &elem(&1, 1)))}
+    end
+  end
+
   defp ends(first, last) do
     for {name, time} when is_integer(time) <- [{"first", first}, {"last", last}],
         into: %{},

@@ -22,7 +22,7 @@ defmodule Situ.Studio.Visualizers.Option do
     ]
   end
 
-  @doc "What the server is told of `near/0`."
+  @doc "Those of `near/0` that the server is told."
   @spec asks() :: [atom()]
   def asks, do: [:past, :future]
 

@@ -63,6 +63,11 @@ defmodule Situ.Studio.Web.Edit do
   def apply("redo", _, assigns), do: step(assigns, :redo, :undo)
 
   # Shown or hidden; `only` hides the panel's other streams, or shows them again.
+  def apply("show_vis", %{"panel" => id, "all" => all}, assigns) when all in ["true", "false"] do
+    shown = fn p -> %{p | vis: Enum.map(p.vis, &visible(&1, all == "true"))} end
+    {:ok, layout: Layout.update(assigns.layout, id, shown)}
+  end
+
   def apply("show_vis", %{"panel" => id, "index" => index} = params, assigns) do
     with {:ok, i} <- integer(to_string(index)),
          %{vis: vis} <- Layout.panel(assigns.layout, id),

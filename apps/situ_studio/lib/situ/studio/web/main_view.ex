@@ -8,6 +8,7 @@ defmodule Situ.Studio.Web.MainView do
     Alerts,
     Catalog,
     Comparison,
+    Coverage,
     Layout,
     Link,
     Settings,
@@ -150,13 +151,16 @@ defmodule Situ.Studio.Web.MainView do
     {:noreply, socket |> assign(snap: snap) |> push_event("snap", %{stream: snap})}
   end
 
-  def handle_event("zoom_stream", %{"stream" => name}, socket) do
-    case Enum.find(socket.assigns.infos, &(&1.name == name)) do
-      %{first: first, last: last} when first != nil ->
+  # One stream, or all of a panel.
+  def handle_event("zoom_stream", params, socket) do
+    names = List.wrap(params["streams"] || params["stream"])
+
+    case Coverage.all(Enum.filter(socket.assigns.infos, &(&1.name in names))) do
+      {first, last} ->
         times = %{from: Integer.to_string(first), to: Integer.to_string(max(last, first + 1))}
         {:noreply, push_event(socket, "zoom_to", times)}
 
-      _ ->
+      nil ->
         {:noreply, socket}
     end
   end
