@@ -67,8 +67,19 @@ pub fn pack_lz4(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
 /// Bytes that were compressed by `"lz4"`, `"zstd"` or not (`""`), at most `size` of them; or why they cannot be
 /// unpacked.
 pub fn unpack(compression: &str, bytes: &[u8], size: u64) -> std::result::Result<Vec<u8>, String> {
+    if compression == "lz4_block" {
+        return unpack_block(bytes, size);
+    }
     match chunk::partly(compression, bytes, size) {
         (bytes, None) => Ok(bytes),
         (_, Some(why)) => Err(why),
     }
+}
+
+/// A bare block of LZ4, of exactly so many bytes. One byte packs 255 at the most.
+fn unpack_block(bytes: &[u8], size: u64) -> std::result::Result<Vec<u8>, String> {
+    if size > bytes.len() as u64 * 255 {
+        return Err(format!("{} bytes do not unpack to {size}", bytes.len()));
+    }
+    lz4_flex::block::decompress(bytes, size as usize).map_err(|why| why.to_string())
 }

@@ -32,9 +32,9 @@ defmodule Situ.Bridge.Arrow do
       p |> Situ.Bridge.Arrow.read("levels.arrow") |> Situ.each(&IO.inspect/1)
 
   Rows and columns are those of `Situ.Bridge.Parquet`; such a file is larger, and faster to write and to read. Written
-  are plain batches. Read are files and streams of Arrow with columns that are not nested: numbers, booleans, texts and
-  bytes (their views too), times, dates, decimals, dictionaries of these, also packed by LZ4 or zstd. Other columns are
-  left out; one that is asked for by name is an error.
+  are plain batches. Read are files and streams of Arrow: numbers, booleans, texts and bytes (their views too), times,
+  dates, decimals, dictionaries of these, lists, maps and structs of all of them, also packed by LZ4 or zstd. Other
+  columns (unions, runs, intervals) are left out; one that is asked for by name is an error.
 
   ## Options of `export/3`
 

@@ -36,9 +36,9 @@ defmodule Situ.Bridge.Parquet do
   lists, and members that are now this and now that, are JSON. A stream is gone through twice: what its columns are is
   known at the end only. Pictures and sound (what has a codec of its own) are not put into tables.
 
-  Read are columns that are not nested, plain or packed by Snappy, gzip or zstd, by the encodings PLAIN, dictionary,
-  RLE and DELTA_BINARY_PACKED; another one is an error that names it. A row is a map of its columns, or of the one
-  column `value` the value.
+  Read are columns of all types, lists, maps and structs too, plain or packed by Snappy, gzip, zstd or LZ4, in all
+  encodings but the abandoned BIT_PACKED; another one is an error that names it. Decimals are floats, times of a day and
+  spans nanoseconds, UUIDs texts. A row is a map of its columns, or of the one column `value` the value.
 
   ## Options of `export/3`
 

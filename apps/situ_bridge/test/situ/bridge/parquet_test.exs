@@ -4,9 +4,14 @@ defmodule Situ.Bridge.ParquetTest do
   use Situ.Test.Property
   alias Situ.Bridge.Columnar.{Column, Rows}
   alias Situ.Bridge.Parquet
-  alias Situ.Bridge.Parquet.{Packed, Runs, Thrift, Values, Writer}
+  alias Situ.Bridge.Parquet.{Deltas, Leaf, Packed, Runs, Thrift, Values, Writer}
   alias Situ.Store
   doctest Runs
+  doctest Deltas
+  doctest Leaf
+
+  @theirs for kind <- 1..2,
+              do: Path.expand("../../data/parquet/pyarrow-#{kind}.parquet", __DIR__)
 
   @moduletag :tmp_dir
 
@@ -94,6 +99,89 @@ defmodule Situ.Bridge.ParquetTest do
     end
   end
 
+  # Made by pyarrow 25.0.1: the first with pages of the first kind, packed by LZ4, the second of the second, by Snappy.
+  test "files of another library, with types and encodings that we do not write" do
+    expected = [
+      {1_000_000,
+       %{
+         "list" => [1, nil],
+         "deep" => [["a"], []],
+         "struct" => %{"x" => 1, "y" => %{"z" => true}},
+         "structs" => [%{"k" => 1}, %{"k" => 2}],
+         "map" => %{"k" => 1},
+         "decimal" => 1.25,
+         "half" => 1.5,
+         "time" => 1_000_000_000,
+         "uuid" => "00010203-0405-0607-0809-0a0b0c0d0e0f",
+         "prefix" => "same one",
+         "long" => "ä",
+         "apart" => 1.5
+       }},
+      {2_000_000,
+       %{
+         "list" => [],
+         "deep" => nil,
+         "struct" => nil,
+         "structs" => [],
+         "map" => %{},
+         "decimal" => nil,
+         "half" => -2.0,
+         "time" => nil,
+         "uuid" => "00010203-0405-0607-0809-0a0b0c0d0e0f",
+         "prefix" => "same two",
+         "long" => "",
+         "apart" => 2.5
+       }},
+      {3_000_000,
+       %{
+         "list" => nil,
+         "deep" => [nil],
+         "struct" => %{"x" => nil, "y" => %{"z" => nil}},
+         "structs" => nil,
+         "map" => nil,
+         "decimal" => -3.5,
+         "half" => 0.0,
+         "time" => 3_600_000_000_000,
+         "uuid" => "00010203-0405-0607-0809-0a0b0c0d0e0f",
+         "prefix" => "same",
+         "long" => "xxxxxxxxx",
+         "apart" => -3.5
+       }}
+    ]
+
+    for path <- @theirs do
+      assert Enum.to_list(Parquet.messages(path)) == expected
+
+      assert [{1_000_000, %{"map" => %{"k" => 1}}} | _] =
+               Enum.to_list(Parquet.messages(path, columns: ["map"]))
+    end
+  end
+
+  test "2,000 mutations of theirs are rows or errors, in bounded memory", %{tmp_dir: dir} do
+    path = Path.join(dir, "theirs.parquet")
+    :rand.seed(:exsss, {7, 8, 9})
+    whole = Enum.map(@theirs, &File.read!/1)
+
+    mutate = fn ->
+      Process.flag(:max_heap_size, %{size: 50_000_000, kill: true, error_logger: true})
+
+      for _ <- 1..2_000, bytes = Enum.random(whole) do
+        at = :rand.uniform(byte_size(bytes)) - 1
+        <<before::binary-size(at), _, rest::binary>> = bytes
+        File.write!(path, [before, :rand.uniform(256) - 1, rest])
+
+        try do
+          Enum.count(Parquet.messages(path))
+        rescue
+          Situ.Error -> :error
+        end
+      end
+    end
+
+    results = Task.await(Task.async(mutate), :infinity)
+    assert :error in results and 3 in results
+  end
+
   test "what is no table is an error that says why", %{tmp_dir: dir} do
     path = Path.join(dir, "x.parquet")
     File.write!(path, "PAR1 this is none PAR1")
@@ -122,7 +210,7 @@ defmodule Situ.Bridge.ParquetTest do
 
   defp leaf(kind) do
     type = %{integer: 2, float: 5, boolean: 0, text: 6}[kind]
-    %{name: "x", type: type, length: 0, optional?: true, as: nil, at: 0, time?: false}
+    %Leaf{name: "x", type: type, definition: 1, at: 0}
   end
 
   defp chunk(kind, values) do
@@ -195,7 +283,7 @@ defmodule Situ.Bridge.ParquetTest do
   defp from_memory(bytes) do
     for type <- [0, 1, 2, 5, 6], offset = 4 + :rand.uniform(50) do
       chunk = binary_part(bytes, offset, byte_size(bytes) - offset)
-      leaf = %{leaf(:integer) | type: type, optional?: rem(offset, 2) == 0}
+      leaf = %{leaf(:integer) | type: type, definition: rem(offset, 2)}
       assert leaf |> Values.read(chunk, 0, 20) |> is_list()
     end
   catch

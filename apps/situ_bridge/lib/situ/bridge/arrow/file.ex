@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Arrow.File do
   @moduledoc false
-  # An Arrow file as it is read: its columns (those that are not nested), and its batches. Also the streaming form,
-  # which has no footer: then the messages are gone through once.
+  # An Arrow file as it is read: its columns and its batches. Also the streaming form, which has no footer: then the
+  # messages are gone through once.
   @behaviour Situ.Bridge.Columnar.Reader
   alias Situ.Bridge.Arrow.{FlatBuffer, Schema, Values}
   alias Situ.Error
@@ -147,10 +147,11 @@ defmodule Situ.Bridge.Arrow.File do
             node: 0,
             buffer: 0,
             view: 0,
+            children: [],
             name: "dictionary #{id}"
           }
 
-          entries = column(file, size, block, {bytes, batch}, column, %{})
+          entries = top(file, size, block, {bytes, batch}, column, %{})
           delta? = FlatBuffer.number(bytes, root, 2, :u8, 0) == 1
           before = if delta?, do: known |> Map.get(id, {}) |> Tuple.to_list(), else: []
           Map.put(known, id, List.to_tuple(before ++ entries))
@@ -169,7 +170,7 @@ defmodule Situ.Bridge.Arrow.File do
 
       {:ok,
        columns
-       |> Enum.map(&column(file, size, block, {bytes, batch}, &1, table.dictionaries))
+       |> Enum.map(&top(file, size, block, {bytes, batch}, &1, table.dictionaries))
        |> Enum.zip_with(& &1)}
     end)
   end
@@ -202,22 +203,44 @@ defmodule Situ.Bridge.Arrow.File do
     if all > body, do: fail("a batch whose buffers are larger than itself")
   end
 
-  defp column(file, size, block, {bytes, batch}, column, dictionaries) do
+  # A column of the table has as many rows as the batch; one within another has as many as that one's lists hold.
+  defp top(file, size, block, {bytes, batch}, column, dictionaries) do
     rows = FlatBuffer.number(bytes, batch, 0, :i64, 0)
-    nodes = FlatBuffer.structs(bytes, batch, 1, 16)
-    type = if column.dictionary, do: column.index, else: column.type
 
-    case Enum.at(nodes, column.node) do
-      <<^rows::little-signed-64, missing::little-signed-64>> when rows >= 0 ->
-        buffers = buffers(file, size, block, {bytes, batch}, column, type)
-        # Where nothing is missing, the presence means nothing.
-        buffers = if missing == 0, do: List.replace_at(buffers, 0, ""), else: buffers
-        type |> Values.read(buffers, rows) |> entries(column, dictionaries)
+    case Enum.at(FlatBuffer.structs(bytes, batch, 1, 16), column.node) do
+      <<^rows::little-signed-64, _::binary>> ->
+        column(file, size, block, {bytes, batch}, column, dictionaries)
 
       _ ->
         fail("the column #{inspect(column.name)} has another number of rows than its batch")
     end
   end
+
+  defp column(file, size, block, {bytes, batch}, column, dictionaries) do
+    type = if column.dictionary, do: column.index, else: column.type
+
+    case Enum.at(FlatBuffer.structs(bytes, batch, 1, 16), column.node) do
+      <<rows::little-signed-64, missing::little-signed-64>> when rows >= 0 ->
+        buffers = buffers(file, size, block, {bytes, batch}, column, type)
+        # Where nothing is missing, the presence means nothing.
+        buffers = if missing == 0, do: List.replace_at(buffers, 0, ""), else: buffers
+
+        inner =
+          for child <- column.children,
+              do: {child.name, column(file, size, block, {bytes, batch}, child, dictionaries)}
+
+        type
+        |> with_names(column.children)
+        |> Values.read(buffers, rows, inner)
+        |> entries(column, dictionaries)
+
+      _ ->
+        fail("the column #{inspect(column.name)} is not in its batch")
+    end
+  end
+
+  defp with_names(:map, [%{children: pair}]), do: {:map, Enum.map(pair, & &1.name)}
+  defp with_names(type, _children), do: type
 
   defp entries(values, %{dictionary: nil}, _dictionaries), do: values
 
@@ -257,6 +280,7 @@ defmodule Situ.Bridge.Arrow.File do
   end
 
   defp count(:null, _views), do: 0
+  defp count(type, _views) when type == :struct or elem(type, 0) == :lists, do: 1
   defp count({:view, _}, views), do: 2 + views
   defp count({kind, _bits}, _views) when kind in [:text, :bytes], do: 3
   defp count(_type, _views), do: 2

@@ -10,7 +10,8 @@ defmodule Situ.Bridge.Arrow.Schema do
 
   @typedoc """
   A column that can be read: `node`, `buffer` and `view` count the nodes, buffers and string views before it in a batch;
-  `dictionary` is its number where values are numbers of entries (of the type `index`).
+  `dictionary` is its number where values are numbers of entries (of the type `index`). Lists, maps and structs have
+  `children`.
   """
   @type column :: %{
           name: String.t(),
@@ -20,7 +21,8 @@ defmodule Situ.Bridge.Arrow.Schema do
           buffer: non_neg_integer(),
           view: non_neg_integer(),
           dictionary: integer() | nil,
-          index: term()
+          index: term(),
+          children: [column()]
         }
 
   @doc "The schema of these columns."
@@ -57,25 +59,32 @@ defmodule Situ.Bridge.Arrow.Schema do
     {found, _places} =
       bytes
       |> FlatBuffer.tables(schema, 1)
-      |> Enum.map_reduce({0, 0, 0}, &column(bytes, &1, &2))
+      |> Enum.map_reduce({0, 0, 0}, &column(bytes, &1, &2, 0))
 
     columns = for {:ok, column} <- found, do: column
     nested = for {:nested, name} <- found, do: name
-
-    {columns, nested,
-     for(%{dictionary: id} = c <- columns, id != nil, into: %{}, do: {id, c.type})}
+    {columns, nested, columns |> Enum.flat_map(&entries/1) |> Map.new()}
   end
 
-  defp column(bytes, field, {node, buffer, view} = place) do
+  defp entries(%{dictionary: nil, children: children}), do: Enum.flat_map(children, &entries/1)
+  defp entries(column), do: [{column.dictionary, column.type}]
+
+  defp column(_bytes, _field, _place, depth) when depth > @deepest,
+    do: throw({:not_arrow, "its fields are too deep"})
+
+  defp column(bytes, field, {node, buffer, view} = place, depth) do
     name = FlatBuffer.string(bytes, field, 0) || ""
     type = type(bytes, field)
     {id, index} = dictionary(bytes, field)
     place_behind = behind(bytes, field, place, 0)
+    children = if id == nil, do: children(type, bytes, field, place, depth), else: []
 
-    if type == :nested or index == :nested do
+    if type == :nested or index == :nested or children == :nested or
+         (id != nil and nests?(type)) do
       {{:nested, name}, place_behind}
     else
       column = %{
+        children: children,
         name: name,
         type: type,
         time?: match?({:times, _bits, _factor, true}, type),
@@ -89,6 +98,30 @@ defmodule Situ.Bridge.Arrow.Schema do
       {{:ok, column}, place_behind}
     end
   end
+
+  # What is in a list, a map or a struct: the places of the first begin behind its own buffers.
+  defp children(type, bytes, field, {node, buffer, view}, depth) do
+    if nests?(type) do
+      kind = FlatBuffer.number(bytes, field, 2, :u8, 0)
+      place = {node + 1, buffer + buffers(kind, bytes, field), view}
+
+      {found, _} =
+        bytes
+        |> FlatBuffer.tables(field, 5)
+        |> Enum.map_reduce(place, &column(bytes, &1, &2, depth + 1))
+
+      fitting(type, for({:ok, column} <- found, do: column), length(found))
+    else
+      []
+    end
+  end
+
+  defp fitting(:struct, [_ | _] = children, n) when length(children) == n, do: children
+  defp fitting(:map, [%{type: :struct, children: [_, _]}] = children, 1), do: children
+  defp fitting({_list, _}, [_] = children, 1), do: children
+  defp fitting(_type, _children, _n), do: :nested
+
+  defp nests?(type), do: type in [:struct, :map] or match?({l, _} when l in [:list, :lists], type)
 
   defp dictionary(bytes, field) do
     case FlatBuffer.object(bytes, field, 4) do
@@ -141,6 +174,10 @@ defmodule Situ.Bridge.Arrow.Schema do
       {4, _} -> {:bytes, 32}
       {5, _} -> {:text, 32}
       {6, _} -> :boolean
+      {12, _} -> {:list, 32}
+      {13, _} -> :struct
+      {17, _} -> :map
+      {21, _} -> {:list, 64}
       {19, _} -> {:bytes, 64}
       {20, _} -> {:text, 64}
       {23, _} -> {:view, :bytes}
@@ -190,6 +227,13 @@ defmodule Situ.Bridge.Arrow.Schema do
   defp number_type(bytes, 15, type) do
     case FlatBuffer.number(bytes, type, 0, :i32, 0) do
       size when size in 1..1_048_576 -> {:fixed, size}
+      _ -> :nested
+    end
+  end
+
+  defp number_type(bytes, 16, type) do
+    case FlatBuffer.number(bytes, type, 0, :i32, 0) do
+      size when size in 1..1_048_576 -> {:lists, size}
       _ -> :nested
     end
   end

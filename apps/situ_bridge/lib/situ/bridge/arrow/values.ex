@@ -25,16 +25,61 @@ defmodule Situ.Bridge.Arrow.Values do
 
   def unpack(_bytes, _codec), do: fail("a buffer packed in a way that is not known")
 
-  @doc "All values of so many rows, `nil` where one is missing."
-  @spec read(term(), [binary()], rows :: non_neg_integer()) :: [term()]
-  def read(:null, _buffers, n) when n in 0..@most_missing, do: List.duplicate(nil, n)
+  @doc """
+  All values of so many rows, `nil` where one is missing; `inner` are the names and values of the columns in it.
 
-  def read(type, [presence | buffers], n) do
-    values = values(type, buffers, n)
+      iex> Situ.Bridge.Arrow.Values.read({:lists, 2}, ["\\x01"], 2, [{"item", [1, 2, 3, 4]}])
+      [[1, 2], nil]
+  """
+  @spec read(term(), [binary()], rows :: non_neg_integer(), [{String.t(), [term()]}]) :: [term()]
+  def read(:null, _buffers, n, _inner) when n in 0..@most_missing, do: List.duplicate(nil, n)
+
+  def read(type, [presence | buffers], n, inner) do
+    values = nested(type, buffers, n, inner)
     if presence == "", do: values, else: present(bits(presence, n), values)
   end
 
-  def read(_type, _buffers, _n), do: fail("a column without its buffers")
+  def read(_type, _buffers, _n, _inner), do: fail("a column without its buffers")
+
+  defp nested(:struct, [], n, inner) do
+    {names, columns} = Enum.unzip(inner)
+
+    if Enum.any?(columns, &(length(&1) != n)),
+      do: fail("structs whose members have another number of rows")
+
+    Enum.zip_with(columns, &(names |> Enum.zip(&1) |> Map.new()))
+  end
+
+  defp nested({:lists, size}, [], n, [{_, items}]) do
+    if length(items) < n * size, do: fail("lists of fewer items than they have")
+    items |> Enum.take(n * size) |> Enum.chunk_every(size)
+  end
+
+  defp nested({:list, bits}, [ends], n, [{_, items}]), do: lists(ends, bits, n, items)
+
+  # Pairs are structs of two members.
+  defp nested({:map, [key, value]}, [ends], n, [{_, pairs}]) do
+    for pairs <- lists(ends, 32, n, pairs),
+        do: for(%{^key => name, ^value => held} <- pairs, into: %{}, do: {name, held})
+  end
+
+  defp nested(type, buffers, n, _inner), do: values(type, buffers, n)
+
+  defp lists(_ends, _bits, 0, _items), do: []
+
+  defp lists(ends, bits, n, items) do
+    [first | ends] = for <<x::little-signed-known(bits) <- cut(ends, n + 1, bits)>>, do: x
+    if first < 0, do: fail("a list that begins before its items")
+    {lists, _} = Enum.map_reduce(ends, {first, Enum.drop(items, first)}, &list/2)
+    lists
+  end
+
+  defp list(ends, {at, items}) do
+    if ends < at, do: fail("a list that ends before it begins")
+    {list, rest} = Enum.split(items, ends - at)
+    if length(list) != ends - at, do: fail("a list that goes beyond its items")
+    {list, {ends, rest}}
+  end
 
   defp present([true | bits], [value | values]), do: [value | present(bits, values)]
   defp present([false | bits], [_ | values]), do: [nil | present(bits, values)]

@@ -12,16 +12,21 @@ defmodule Situ.Bridge.Parquet.Packed do
   def undo(1, bytes, size), do: exactly(snappy(bytes, size), size)
   def undo(2, bytes, size), do: exactly(gunzip(bytes, size), size)
 
-  def undo(6, bytes, size) do
-    case Native.unpack("zstd", bytes, size) do
-      {:ok, bytes} -> exactly(bytes, size)
-      {:error, why} -> fail("a page packed by zstd: #{inspect(why)}")
-    end
-  end
+  def undo(6, bytes, size), do: native("zstd", bytes, size)
+  def undo(7, bytes, size), do: native("lz4_block", bytes, size)
 
   def undo(codec, _bytes, _size),
     do:
-      fail("pages are packed by #{@names[codec] || codec}; none, Snappy, gzip and zstd are read")
+      fail(
+        "pages are packed by #{@names[codec] || codec}; none, Snappy, gzip, zstd and LZ4 are read"
+      )
+
+  defp native(codec, bytes, size) do
+    case Native.unpack(codec, bytes, size) do
+      {:ok, bytes} -> exactly(bytes, size)
+      {:error, why} -> fail("a page packed by #{codec}: #{inspect(why)}")
+    end
+  end
 
   defp exactly(bytes, size) when byte_size(bytes) == size, do: bytes
   defp exactly(_bytes, _size), do: fail("a page unpacks to another size")

@@ -62,7 +62,7 @@ defmodule Situ.Bridge.Parquet.Runs do
   defp groups(bytes, width), do: for(<<group::binary-known(width) <- bytes>>, do: group)
 
   @doc "Numbers of 64 bits as packed differences, and what follows them."
-  @spec deltas(binary(), most :: non_neg_integer()) :: [integer()]
+  @spec deltas(binary(), most :: non_neg_integer()) :: {[integer()], binary()}
   def deltas(bytes, most) do
     {block, rest} = Thrift.unsigned(bytes)
     {minis, rest} = Thrift.unsigned(rest)
@@ -74,11 +74,12 @@ defmodule Situ.Bridge.Parquet.Runs do
        do: fail("packed differences that are none")
 
     if count == 0,
-      do: [],
-      else: Enum.reverse(blocks(rest, div(block, minis), minis, count - 1, [first]))
+      do: {[], rest},
+      else: blocks(rest, div(block, minis), minis, count - 1, [first])
   end
 
-  defp blocks(_rest, _size, _minis, left, found) when left <= 0, do: found
+  defp blocks(rest, _size, _minis, left, found) when left <= 0,
+    do: {Enum.reverse(found), rest}
 
   defp blocks(rest, size, minis, left, found) do
     {least, rest} = signed(rest)

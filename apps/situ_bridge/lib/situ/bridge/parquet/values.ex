@@ -3,34 +3,31 @@ defmodule Situ.Bridge.Parquet.Values do
   # The values of a column chunk: its pages, one after the other. Pure, but for what unpacks.
   # Throws `{:not_parquet, why}`.
   import Situ.Bits, only: [known: 1]
-  alias Situ.Bridge.Parquet.{Packed, Runs, Thrift}
+  alias Situ.Bridge.Parquet.{Deltas, Leaf, Packed, Runs, Thrift}
 
-  @encodings %{
-    4 => "BIT_PACKED",
-    6 => "DELTA_LENGTH_BYTE_ARRAY",
-    7 => "DELTA_BYTE_ARRAY",
-    9 => "BYTE_STREAM_SPLIT"
-  }
+  @encodings %{4 => "BIT_PACKED"}
   @most_page 1_073_741_824
-
-  @type leaf :: %{
-          at: non_neg_integer(),
-          name: String.t(),
-          type: 0..7,
-          length: non_neg_integer(),
-          optional?: boolean(),
-          as: atom() | {atom(), term()},
-          time?: boolean()
-        }
+  # Levels pack well: a small file could name very many.
+  @most_entries 20_000_000
 
   @doc "All values of a chunk with so many rows; `nil` where one is missing."
-  @spec read(leaf(), binary(), codec :: integer(), rows :: non_neg_integer()) :: [term()]
-  def read(leaf, bytes, codec, rows), do: pages(leaf, bytes, codec, rows, nil, [])
+  @spec read(Leaf.t(), binary(), codec :: integer(), rows :: non_neg_integer()) :: [term()]
+  def read(leaf, bytes, codec, rows), do: pages({leaf, :flat}, bytes, codec, rows, nil, [])
 
-  defp pages(_leaf, _bytes, _codec, 0, _dictionary, found),
+  @doc "All values of a leaf within a tree, with their levels of repetition and definition."
+  @spec entries(Leaf.t(), binary(), codec :: integer(), count :: term()) :: [
+          {non_neg_integer(), non_neg_integer(), term()}
+        ]
+  def entries(leaf, bytes, codec, count) when count in 0..@most_entries,
+    do: pages({leaf, :nested}, bytes, codec, count, nil, [])
+
+  def entries(leaf, _bytes, _codec, count),
+    do: fail("a row group with #{inspect(count)} values of #{inspect(leaf.name)}")
+
+  defp pages(_how, _bytes, _codec, 0, _dictionary, found),
     do: found |> Enum.reverse() |> Enum.concat()
 
-  defp pages(leaf, bytes, codec, left, dictionary, found) do
+  defp pages({leaf, _} = how, bytes, codec, left, dictionary, found) do
     {head, rest} = Thrift.read(bytes)
     {size, stored} = {head[2], head[3]}
 
@@ -43,61 +40,86 @@ defmodule Situ.Bridge.Parquet.Values do
     case head do
       %{1 => 2, 7 => %{1 => n}} when is_integer(n) ->
         dictionary = leaf |> plain(Packed.undo(codec, body, size), n) |> List.to_tuple()
-        pages(leaf, rest, codec, left, dictionary, found)
+        pages(how, rest, codec, left, dictionary, found)
 
       %{1 => 0, 5 => %{1 => n, 2 => encoding}} when n in 1..left//1 ->
-        values = data(leaf, Packed.undo(codec, body, size), n, encoding, dictionary)
-        pages(leaf, rest, codec, left - n, dictionary, [values | found])
+        values = data(how, Packed.undo(codec, body, size), n, encoding, dictionary)
+        pages(how, rest, codec, left - n, dictionary, [values | found])
 
       %{1 => 3, 8 => %{1 => n, 4 => encoding} = v2} when n in 1..left//1 ->
-        values = data2(leaf, body, {codec, size}, n, encoding, v2, dictionary)
-        pages(leaf, rest, codec, left - n, dictionary, [values | found])
+        values = data2(how, body, {codec, size}, n, encoding, v2, dictionary)
+        pages(how, rest, codec, left - n, dictionary, [values | found])
 
       %{1 => kind} when kind not in [0, 2, 3] ->
-        pages(leaf, rest, codec, left, dictionary, found)
+        pages(how, rest, codec, left, dictionary, found)
 
       _ ->
         fail("a page's header is malformed")
     end
   end
 
-  defp data(
-         %{optional?: true} = leaf,
-         <<n::little-32, levels::binary-size(n), bytes::binary>>,
-         rows,
-         encoding,
-         dictionary
-       ) do
-    levels = Runs.read(levels, 1, rows)
-    spread(levels, values(leaf, encoding, bytes, Enum.sum(levels), dictionary))
+  defp data({leaf, _} = how, bytes, n, encoding, dictionary) do
+    {repeats, bytes} = levels(bytes, leaf.repetition)
+    {defines, bytes} = levels(bytes, leaf.definition)
+    put(how, {repeats, defines}, n, &values(leaf, encoding, bytes, &1, dictionary))
   end
 
-  defp data(%{optional?: true}, _bytes, _rows, _encoding, _dictionary),
-    do: fail("levels that do not fit into their page")
+  # Levels of 0 are not written.
+  defp levels(bytes, 0), do: {"", bytes}
 
-  defp data(leaf, bytes, rows, encoding, dictionary),
-    do: values(leaf, encoding, bytes, rows, dictionary)
+  defp levels(<<n::little-32, levels::binary-size(n), bytes::binary>>, _most),
+    do: {levels, bytes}
+
+  defp levels(_bytes, _most), do: fail("levels that do not fit into their page")
 
   # The second kind of page has its levels outside of what is packed.
-  defp data2(leaf, body, {codec, size}, rows, encoding, v2, dictionary) do
+  defp data2({leaf, _} = how, body, {codec, size}, n, encoding, v2, dictionary) do
     repeats = v2[6] || 0
     defines = v2[5] || 0
 
-    unless repeats == 0 and defines in 0..byte_size(body),
+    unless repeats in 0..byte_size(body) and defines in 0..(byte_size(body) - repeats)//1,
       do: fail("levels that do not fit into their page")
 
-    <<levels::binary-known(defines), packed::binary>> = body
+    <<repeat::binary-known(repeats), define::binary-known(defines), packed::binary>> = body
 
     unpacked =
-      if v2[7] == false, do: packed, else: Packed.undo(codec, packed, max(size - defines, 0))
+      if v2[7] == false,
+        do: packed,
+        else: Packed.undo(codec, packed, max(size - defines - repeats, 0))
 
-    if leaf.optional? do
-      levels = Runs.read(levels, 1, rows)
-      spread(levels, values(leaf, encoding, unpacked, Enum.sum(levels), dictionary))
-    else
-      values(leaf, encoding, unpacked, rows, dictionary)
-    end
+    put(how, {repeat, define}, n, &values(leaf, encoding, unpacked, &1, dictionary))
   end
+
+  defp put({%{definition: 0}, :flat}, _levels, n, values), do: values.(n)
+
+  defp put({_leaf, :flat}, {_repeats, defines}, n, values) do
+    levels = Runs.read(defines, 1, n)
+    spread(levels, values.(Enum.sum(levels)))
+  end
+
+  defp put({leaf, :nested}, {repeats, defines}, n, values) do
+    repeats = Runs.read(repeats, width(leaf.repetition), n)
+    defines = Runs.read(defines, width(leaf.definition), n)
+
+    levelled(
+      repeats,
+      defines,
+      leaf.definition,
+      values.(Enum.count(defines, &(&1 == leaf.definition)))
+    )
+  end
+
+  defp width(0), do: 0
+  defp width(most), do: most |> Integer.digits(2) |> length()
+
+  defp levelled([r | repeats], [d | defines], d, [value | values]),
+    do: [{r, d, value} | levelled(repeats, defines, d, values)]
+
+  defp levelled([r | repeats], [d | defines], most, values) when d < most,
+    do: [{r, d, nil} | levelled(repeats, defines, most, values)]
+
+  defp levelled([], [], _most, []), do: []
+  defp levelled(_, _, _, _), do: fail("more levels than values")
 
   defp spread([1 | levels], [value | values]), do: [value | spread(levels, values)]
   defp spread([0 | levels], values), do: [nil | spread(levels, values)]
@@ -120,13 +142,30 @@ defmodule Situ.Bridge.Parquet.Values do
     do: for(bit <- Runs.read(bytes, 1, n), do: bit == 1)
 
   defp values(%{type: type} = leaf, 5, bytes, n, _dictionary) when type in [1, 2] do
-    values = Runs.deltas(bytes, n)
+    {values, _rest} = Runs.deltas(bytes, n)
     if length(values) != n, do: fail("another number of values than the page says")
     Enum.map(values, &converted(&1, leaf.as))
   end
 
+  defp values(%{type: 6} = leaf, 6, bytes, n, _dictionary),
+    do: bytes |> Deltas.texts(n) |> Enum.map(&Leaf.meant(&1, leaf.as))
+
+  defp values(%{type: type} = leaf, 7, bytes, n, _dictionary) when type in [6, 7],
+    do: bytes |> Deltas.prefixed(n) |> Enum.map(&Leaf.meant(&1, leaf.as))
+
+  defp values(leaf, 9, bytes, n, _dictionary),
+    do: plain(leaf, Deltas.streams(bytes, size(leaf), n), n)
+
   defp values(_leaf, encoding, _bytes, _n, _dictionary),
-    do: fail("values are written as #{@encodings[encoding] || encoding}, which is not read here")
+    do:
+      fail(
+        "values are written as #{@encodings[encoding] || inspect(encoding)}, which is not read here"
+      )
+
+  defp size(%{type: type}) when type in [1, 4], do: 4
+  defp size(%{type: type}) when type in [2, 5], do: 8
+  defp size(%{type: 7, length: length}) when length > 0, do: length
+  defp size(_leaf), do: fail("values whose bytes are apart, of no size")
 
   # Every value takes a bit at least, so no memory is asked for that the bytes do not fill.
   defp plain(leaf, bytes, n) do
@@ -157,22 +196,26 @@ defmodule Situ.Bridge.Parquet.Values do
 
   defp all(%{type: 4}, bytes, n), do: for(<<x::binary-4 <- cut(bytes, n * 4)>>, do: float(x))
   defp all(%{type: 5}, bytes, n), do: for(<<x::binary-8 <- cut(bytes, n * 8)>>, do: float(x))
-  defp all(%{type: 6}, bytes, n), do: texts(bytes, n, [])
+  defp all(%{type: 6, as: as}, bytes, n), do: texts(bytes, n, as, [])
 
-  defp all(%{type: 7, length: length}, bytes, n) when length > 0,
-    do: for(<<x::binary-known(length) <- cut(bytes, n * length)>>, do: :binary.copy(x))
+  defp all(%{type: 7, length: length, as: as}, bytes, n) when length > 0,
+    do:
+      for(
+        <<x::binary-known(length) <- cut(bytes, n * length)>>,
+        do: x |> :binary.copy() |> Leaf.meant(as)
+      )
 
   defp all(_leaf, _bytes, _n), do: fail("values of no size")
 
   defp cut(bytes, n) when byte_size(bytes) >= n, do: binary_part(bytes, 0, n)
   defp cut(_bytes, _n), do: fail("a page with too few values")
 
-  defp texts(_bytes, 0, found), do: Enum.reverse(found)
+  defp texts(_bytes, 0, _as, found), do: Enum.reverse(found)
 
-  defp texts(<<n::little-32, text::binary-size(n), rest::binary>>, left, found),
-    do: texts(rest, left - 1, [:binary.copy(text) | found])
+  defp texts(<<n::little-32, text::binary-size(n), rest::binary>>, left, as, found),
+    do: texts(rest, left - 1, as, [text |> :binary.copy() |> Leaf.meant(as) | found])
 
-  defp texts(_short, _left, _found), do: fail("a text that is cut short")
+  defp texts(_short, _left, _as, _found), do: fail("a text that is cut short")
 
   defp float(<<x::little-float-64>>), do: x
   defp float(<<x::little-float-32>>), do: x

@@ -1,0 +1,93 @@
+defmodule Situ.Bridge.Parquet.Leaf do
+  @moduledoc false
+  # A column of values: how Parquet writes them, and their meaning. Pure.
+
+  # Factors to nanoseconds: by the old kinds of times and by the units of the new ones.
+  @old_kinds %{
+    6 => {:times, 86_400_000_000_000},
+    7 => {:times, 1_000_000},
+    8 => {:times, 1_000},
+    9 => {:times, 1_000_000},
+    10 => {:times, 1_000}
+  }
+  @units %{1 => {:times, 1_000_000}, 2 => {:times, 1_000}, 3 => nil}
+  @unsigned %{11 => 8, 12 => 16, 13 => 32, 14 => 64}
+  @most_digits 76
+
+  @enforce_keys [:at, :name, :type]
+  defstruct [:at, :name, :type, :as, length: 0, definition: 0, repetition: 0, time?: false]
+
+  @typedoc "`at` counts the leaves, which row groups have in this order; the levels are the highest ones."
+  @type t :: %__MODULE__{
+          at: non_neg_integer(),
+          name: String.t(),
+          type: 0..7,
+          length: non_neg_integer(),
+          definition: non_neg_integer(),
+          repetition: non_neg_integer(),
+          as: atom() | {atom(), term()},
+          time?: boolean()
+        }
+
+  @doc "The leaf of an element of the schema, with its levels."
+  @spec new(map(), non_neg_integer(), non_neg_integer(), non_neg_integer()) :: t()
+  def new(element, at, definition, repetition) do
+    time? = match?(%{8 => _}, element[10]) or element[6] in [9, 10] or element[1] == 3
+
+    %__MODULE__{
+      at: at,
+      name: element[4],
+      type: element[1],
+      length: if(is_integer(element[2]), do: element[2], else: 0),
+      definition: definition,
+      repetition: repetition,
+      as: if(element[1] in [6, 7], do: bytes(element), else: number(element)),
+      time?: time?
+    }
+  end
+
+  defp bytes(%{6 => 5, 7 => scale}) when scale in 0..@most_digits, do: {:decimal, scale}
+  defp bytes(%{10 => %{5 => decimal}}) when is_map(decimal), do: scale(:decimal, decimal)
+  defp bytes(%{10 => %{14 => _}, 2 => 16}), do: :uuid
+  defp bytes(%{10 => %{15 => _}, 2 => 2}), do: :half
+  defp bytes(_), do: nil
+
+  # Moments, and times of a day.
+  defp number(%{10 => %{8 => %{2 => unit}}}) when map_size(unit) == 1, do: unit(unit)
+  defp number(%{10 => %{7 => %{2 => unit}}}) when map_size(unit) == 1, do: unit(unit)
+  defp number(%{6 => 5, 7 => scale}) when scale in 0..38, do: {:scale, scale}
+  defp number(%{6 => kind}) when is_map_key(@unsigned, kind), do: {:unsigned, @unsigned[kind]}
+  defp number(%{6 => kind}), do: @old_kinds[kind]
+  defp number(%{10 => %{5 => decimal}}) when is_map(decimal), do: scale(:scale, decimal)
+  defp number(_), do: nil
+
+  defp unit(unit), do: @units[unit |> Map.keys() |> hd()]
+
+  defp scale(kind, decimal) do
+    scale = decimal[1] || 0
+    if scale in 0..@most_digits, do: {kind, scale}
+  end
+
+  @doc """
+  A value of bytes by its meaning.
+
+      iex> alias Situ.Bridge.Parquet.Leaf
+      iex> {Leaf.meant(<<255, 6>>, {:decimal, 2}), Leaf.meant(<<0, 0x3E>>, :half), Leaf.meant("x", nil)}
+      {-2.5, 1.5, "x"}
+  """
+  @spec meant(binary(), atom() | {atom(), term()}) :: term()
+  def meant(bytes, {:decimal, scale}) when byte_size(bytes) in 1..32 do
+    size = bit_size(bytes)
+    <<n::signed-size(size)>> = bytes
+    n / Integer.pow(10, scale)
+  end
+
+  def meant(<<a::binary-4, b::binary-2, c::binary-2, d::binary-2, e::binary-6>>, :uuid),
+    do: Enum.map_join([a, b, c, d, e], "-", &Base.encode16(&1, case: :lower))
+
+  def meant(<<x::little-float-16>>, :half), do: x
+  def meant(<<0, 0x7C>>, :half), do: :infinity
+  def meant(<<0, 0xFC>>, :half), do: :neg_infinity
+  def meant(_, :half), do: :nan
+  def meant(bytes, _), do: bytes
+end

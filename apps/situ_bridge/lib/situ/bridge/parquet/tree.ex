@@ -1,0 +1,168 @@
+defmodule Situ.Bridge.Parquet.Tree do
+  @moduledoc false
+  # The schema of a Parquet file as columns. One that is flat is a leaf; one of lists, maps or structs has a tree, whose
+  # values are put together from its leaves by the levels beside their values (Dremel's). Pure. Throws
+  # `{:not_parquet, why}`.
+  alias Situ.Bridge.Parquet.Leaf
+
+  @deepest 32
+  @repeated 2
+
+  @typedoc "`definition` is the level at which a node is there, `level` the one at which its elements begin."
+  @type tree :: %{
+          name: String.t(),
+          kind: :leaf | :struct | :list | :map,
+          repetition: 0..2,
+          definition: non_neg_integer(),
+          level: non_neg_integer(),
+          children: [tree()],
+          leaves: [Leaf.t()]
+        }
+  @type column :: Leaf.t() | %{name: String.t(), time?: false, tree: tree()}
+  @typedoc "A leaf's values with their levels of repetition and definition, by the leaf's place."
+  @type held :: %{non_neg_integer() => [{non_neg_integer(), non_neg_integer(), term()}]}
+
+  @doc "The columns of a schema's elements, the root left out."
+  @spec columns([map()]) :: [column()]
+  def columns(elements), do: columns(elements, 0, [])
+
+  defp columns([], _at, found), do: Enum.reverse(found)
+
+  defp columns(elements, at, found) do
+    {tree, rest, at} = node(elements, at, {0, 0}, 0)
+    columns(rest, at, [column(tree) | found])
+  end
+
+  defp column(%{kind: :leaf, repetition: repetition, leaves: [leaf]})
+       when repetition != @repeated,
+       do: leaf
+
+  defp column(tree), do: %{name: tree.name, time?: false, tree: tree}
+
+  defp node(_elements, _at, _levels, depth) when depth > @deepest,
+    do: fail("its columns are nested too deeply")
+
+  defp node([%{4 => name} = element | rest], at, {definition, level}, depth) do
+    repetition = element[3] || 0
+    definition = if repetition == 0, do: definition, else: definition + 1
+    level = if repetition == @repeated, do: level + 1, else: level
+    base = %{name: name, repetition: repetition, definition: definition, level: level}
+
+    if is_integer(element[5]) do
+      {children, rest, at} = children(element[5], rest, at, {definition, level}, depth + 1, [])
+      leaves = Enum.flat_map(children, & &1.leaves)
+      if leaves == [], do: fail("a group of columns without any")
+
+      tree = Map.merge(base, %{kind: kind(element, children), children: children, leaves: leaves})
+
+      {tree, rest, at}
+    else
+      leaf = Leaf.new(element, at, definition, level)
+      {Map.merge(base, %{kind: :leaf, children: [], leaves: [leaf]}), rest, at + 1}
+    end
+  end
+
+  defp node(_other, _at, _levels, _depth), do: fail("its schema is malformed")
+
+  defp children(0, rest, at, _levels, _depth, found), do: {Enum.reverse(found), rest, at}
+
+  defp children(n, rest, at, levels, depth, found) when n > 0 do
+    {child, rest, at} = node(rest, at, levels, depth)
+    children(n - 1, rest, at, levels, depth, [child | found])
+  end
+
+  defp children(_n, _rest, _at, _levels, _depth, _found), do: fail("its schema is malformed")
+
+  # Lists and maps are groups of one group that is repeated.
+  defp kind(element, [%{repetition: @repeated}]) do
+    cond do
+      element[6] == 3 or match?(%{3 => _}, element[10]) -> :list
+      element[6] in [1, 2] or match?(%{2 => _}, element[10]) -> :map
+      true -> :struct
+    end
+  end
+
+  defp kind(_element, _children), do: :struct
+
+  @doc "The value of each row, out of all values of the leaves."
+  @spec values(tree(), held(), rows :: non_neg_integer()) :: [term()]
+  def values(tree, held, rows) do
+    by_leaf =
+      for leaf <- tree.leaves do
+        split = held |> Map.fetch!(leaf.at) |> split(0)
+
+        if length(split) != rows,
+          do: fail("#{inspect(tree.name)} has another number of rows than its group")
+
+        split
+      end
+
+    places = Enum.map(tree.leaves, & &1.at)
+    Enum.zip_with(by_leaf, &value(tree, places |> Enum.zip(&1) |> Map.new()))
+  end
+
+  # Where a level begins, an element begins.
+  defp split([], _level), do: []
+
+  defp split([first | rest], level) do
+    {last, done} =
+      Enum.reduce(rest, {[first], []}, fn {at, _, _} = entry, {element, done} ->
+        if at <= level,
+          do: {[entry], [Enum.reverse(element) | done]},
+          else: {[entry | element], done}
+      end)
+
+    Enum.reverse([Enum.reverse(last) | done])
+  end
+
+  defp value(%{repetition: @repeated} = node, held),
+    do: for(held <- elements(node, held), do: content(node, held))
+
+  defp value(node, held), do: if(there?(node, held), do: content(node, held))
+
+  defp there?(%{definition: definition, leaves: [leaf | _]}, held) do
+    [{_, defined, _} | _] = Map.fetch!(held, leaf.at)
+    defined >= definition
+  end
+
+  defp elements(node, held) do
+    if there?(node, held) do
+      places = Enum.map(node.leaves, & &1.at)
+
+      places
+      |> Enum.map(&split(Map.fetch!(held, &1), node.level))
+      |> Enum.zip_with(&(places |> Enum.zip(&1) |> Map.new()))
+    else
+      []
+    end
+  end
+
+  defp content(%{kind: :leaf, leaves: [leaf]}, held) do
+    [{_, _, value} | _] = Map.fetch!(held, leaf.at)
+    value
+  end
+
+  defp content(%{kind: :struct, children: children}, held),
+    do: Map.new(children, &{&1.name, value(&1, held)})
+
+  defp content(%{kind: :list, name: name, children: [repeated]}, held) do
+    for held <- elements(repeated, held), do: element(repeated, name, held)
+  end
+
+  defp content(%{kind: :map, children: [%{children: [key, value]} = pairs]}, held),
+    do: for(held <- elements(pairs, held), into: %{}, do: {value(key, held), value(value, held)})
+
+  defp content(%{kind: :map, children: [pairs]}, held),
+    do: for(held <- elements(pairs, held), do: content(pairs, held))
+
+  # Old writers left the group between the list and its elements out.
+  defp element(%{kind: :struct, children: [one], name: between}, name, held) do
+    if between in ["array", name <> "_tuple"],
+      do: %{one.name => value(one, held)},
+      else: value(one, held)
+  end
+
+  defp element(repeated, _name, held), do: content(repeated, held)
+
+  defp fail(why), do: throw({:not_parquet, why})
+end
