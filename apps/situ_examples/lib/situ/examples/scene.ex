@@ -11,7 +11,7 @@ defmodule Situ.Examples.Scene do
     * `Room.Cloud`: coloured points in the room's frame, `Room.Bodies`, `Room.Pointing`, `Room.Ball`, `Room.Camera`
     * `Room.Person` and `Room.Detections`: the picture cropped to the person who walks, and what was detected in it
     * `Room.Sound`, `Room.Energy`, `Room.Voice`, `Room.Speech`: the waveform, its log energy, how likely it is a voice,
-      and the intervals with speech
+      and the intervals with speech, with who spoke
     * `Room.Heights` and `Room.Latencies`: histograms of the points' heights and of the clouds' latencies
   """
   use Situ.Pipeline
@@ -46,7 +46,7 @@ defmodule Situ.Examples.Scene do
       "Detections"
     )
 
-    hear(p, opts, record)
+    hear(p, camera, opts, record)
 
     record.(
       Situ.map(clouds, &Histogram.heights/1, name: "Heights", type: {:list, :any}),
@@ -81,7 +81,7 @@ defmodule Situ.Examples.Scene do
       fn {%CameraView{} = view, bodies} ->
         found = Enum.map(bodies, &Crop.detection(view, &1))
         {picture, offset} = Crop.around(view.viewed, hd(found))
-        {jpeg(picture), Enum.map(found, &Crop.shift(&1, offset))}
+        {jpeg(picture), found |> Enum.map(&Crop.shift(&1, offset)) |> Crop.inside(picture)}
       end,
       name: "Persons"
     )
@@ -89,7 +89,7 @@ defmodule Situ.Examples.Scene do
 
   defp jpeg(picture), do: picture |> Situ.Imaging.encode_jpeg(quality: 85) |> Situ.Error.unwrap!()
 
-  defp hear(p, opts, record) do
+  defp hear(p, camera, opts, record) do
     clip = opts[:sound] || Situ.Examples.Demo.Options.clip()
     format = Situ.AudioFormat.pcm(16_000)
     sound = Situ.Media.open(p, clip, audio_format: format, start_time: :pipeline).audio
@@ -97,8 +97,23 @@ defmodule Situ.Examples.Scene do
     record.(sound, "Sound")
     record.(Situ.Audio.features(sound, name: "Features").log_energy, "Energy")
     record.(Situ.map(heard.voice, & &1.probability, name: "Probability", type: :float), "Voice")
-    record.(Situ.map(heard.segments, &interval/1, name: "Speech", type: Situ.Interval), "Speech")
+    record.(speech(heard.segments, camera.others[:speaking]), "Speech")
   end
+
+  # Intervals with speech; and whose, where the room tells.
+  defp speech(segments, nil),
+    do: Situ.map(segments, &interval/1, name: "Speech", type: Situ.Interval)
+
+  defp speech(segments, speaking) do
+    last = Situ.scan(speaking, nil, &speaker/3, name: "Last speaker")
+
+    segments
+    |> Situ.join(last, Situ.Reproducible.nearest(Situ.Time.ms(100)))
+    |> Situ.map(fn {segment, who} -> {interval(segment), "person #{who}"} end, name: "Speech")
+  end
+
+  defp speaker(now, _message, last),
+    do: Enum.find_value(now, last, fn {who, speaks?} -> if speaks?, do: who end)
 
   defp interval(segment), do: Situ.Interval.closed(segment.start, segment.stop)
 

@@ -4,11 +4,12 @@ defmodule Situ.Space.Scan do
 
   | ending | what is read | stream |
   |---|---|---|
-  | `.glb`, `.gltf` | glTF 2.0 in one file, not compressed: the scene's triangles, without materials | `Mesh` |
+  | `.dae` | Collada 1.4 and 1.5: the scene's triangles, in metres and z up, without materials | `Mesh` |
+  | `.glb`, `.gltf` | glTF 2.0 with its files, not compressed: the scene's triangles, without materials | `Mesh` |
   | `.las`, `.laz` | LAS 1.0 to 1.4, compressed or not, with colours | `Points`: a `Situ.PointCloud` |
   | `.obj` | OBJ: vertices and faces, without materials | `Mesh`, or `Points` where there are no faces |
   | `.pcd` | PCD 0.7 as text, bytes or compressed bytes, with colours | `Points` |
-  | `.ply` | PLY as text or little-endian bytes, with colours or faces | `Points`, or `Mesh`: a `Situ.Mesh` |
+  | `.ply` | PLY as text or bytes, with colours, intensity or faces | `Points`, or `Mesh`: a `Situ.Mesh` |
   | `.stl` | STL as bytes or text | `Mesh` |
 
   Places of a LAS file are measured from the lower corner of its bounds, since 32 bits do not hold a country to the
@@ -18,7 +19,7 @@ defmodule Situ.Space.Scan do
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, Mesh, Message, PointCloud}
-  alias Situ.Space.Scan.{Gltf, Las, Obj, Pcd, Ply, Stl}
+  alias Situ.Space.Scan.{Collada, Gltf, Las, Obj, Pcd, Ply, Stl}
   alias Situ.Space.WholeFile
   alias Situ.Store.StreamInfo
 
@@ -33,37 +34,39 @@ defmodule Situ.Space.Scan do
 
   @most 2_000_000_000
 
-  @doc "The points or the surface of a file."
-  @spec read(Path.t()) :: {:ok, PointCloud.t() | Mesh.t()} | {:error, Error.t()}
-  def read(path), do: with({:ok, scan} <- open(path, []), do: {:ok, scan.data})
+  @doc """
+  The points or the surface of a file. With `axes: :own` a Collada file's numbers are not turned to z up: files of
+  robots mean them as they are.
+  """
+  @spec read(Path.t(), keyword()) :: {:ok, PointCloud.t() | Mesh.t()} | {:error, Error.t()}
+  def read(path, opts \\ []), do: with({:ok, scan} <- open(path, opts), do: {:ok, scan.data})
 
   @impl true
-  def extensions, do: [".glb", ".gltf", ".las", ".laz", ".obj", ".pcd", ".ply", ".stl"]
+  def extensions, do: [".dae", ".glb", ".gltf", ".las", ".laz", ".obj", ".pcd", ".ply", ".stl"]
 
   @impl true
-  def open(path, _opts) do
-    parse = &parse(String.downcase(Path.extname(path)), &1)
+  def open(path, opts) do
+    parse = &parse(String.downcase(Path.extname(path)), &1, {Path.dirname(path), opts})
 
     with {:ok, data, origin} <- WholeFile.read(path, @most, parse),
          do: {:ok, %__MODULE__{path: path, data: data, origin: origin}}
   end
 
-  defp parse(las, bytes) when las in [".las", ".laz"], do: Las.read(bytes)
+  defp parse(las, bytes, _asked) when las in [".las", ".laz"], do: Las.read(bytes)
 
-  defp parse(gltf, bytes) when gltf in [".glb", ".gltf"],
-    do: with({:ok, data} <- Gltf.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})
+  defp parse(ending, bytes, asked) do
+    with {:ok, data} <- shape(ending, bytes, asked), do: {:ok, data, {0.0, 0.0, 0.0}}
+  end
 
-  defp parse(".obj", bytes),
-    do: with({:ok, data} <- Obj.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})
+  defp shape(".dae", bytes, {_folder, opts}), do: Collada.read(bytes, opts)
 
-  defp parse(".pcd", bytes),
-    do: with({:ok, data} <- Pcd.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})
+  defp shape(gltf, bytes, {folder, _opts}) when gltf in [".glb", ".gltf"],
+    do: Gltf.read(bytes, folder)
 
-  defp parse(".stl", bytes),
-    do: with({:ok, data} <- Stl.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})
-
-  defp parse(_ply, bytes),
-    do: with({:ok, data} <- Ply.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})
+  defp shape(".obj", bytes, _asked), do: Obj.read(bytes)
+  defp shape(".pcd", bytes, _asked), do: Pcd.read(bytes)
+  defp shape(".stl", bytes, _asked), do: Stl.read(bytes)
+  defp shape(_ply, bytes, _asked), do: Ply.read(bytes)
 
   @impl true
   def info(scan),

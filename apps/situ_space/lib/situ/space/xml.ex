@@ -3,7 +3,8 @@ defmodule Situ.Space.Xml do
   # XML from outside: no document type (its entities may grow without end, or name other files), UTF-8 only, and no atom
   # is made of a name.
 
-  @type element :: {String.t(), %{String.t() => String.t()}, [element()]}
+  @typedoc "A name, attributes, and the elements in it; with `texts: true` its text is the attribute `:text`."
+  @type element :: {String.t(), %{(String.t() | :text) => String.t()}, [element()]}
   @deepest 200
 
   @doc """
@@ -46,14 +47,16 @@ defmodule Situ.Space.Xml do
     do: {:error, "it is not well-formed XML: #{inspect(reason, limit: 5)}"}
 
   @doc """
-  Its elements as a tree, without texts.
+  Its elements as a tree; their texts only with `texts: true`.
 
       iex> Situ.Space.Xml.tree(~s(<a b="1"><c/></a>))
       {:ok, {"a", %{"b" => "1"}, [{"c", %{}, []}]}}
+      iex> Situ.Space.Xml.tree("<a>1 <b>x</b>2</a>", texts: true)
+      {:ok, {"a", %{text: "1 2"}, [{"b", %{text: "x"}, []}]}}
   """
-  @spec tree(binary()) :: {:ok, element()} | {:error, String.t()}
-  def tree(bytes) do
-    case events(bytes, &grow/3, []) do
+  @spec tree(binary(), keyword()) :: {:ok, element()} | {:error, String.t()}
+  def tree(bytes, opts \\ []) do
+    case events(bytes, if(opts[:texts], do: &texts/3, else: &grow/3), []) do
       {:ok, [root]} -> {:ok, root}
       {:ok, :deep} -> {:error, "it has elements in elements without end"}
       {:ok, _} -> {:error, "it holds no element"}
@@ -80,4 +83,15 @@ defmodule Situ.Space.Xml do
     do: [{name, given, Enum.reverse(inner)}]
 
   defp grow(_event, _where, open), do: open
+
+  # As above; the texts of an element are gathered, and put together when it closes.
+  defp texts({:characters, text}, _, [{name, given, inner} | open]) do
+    part = :unicode.characters_to_binary(text)
+    [{name, Map.update(given, :text, [part], &[&1 | [part]]), inner} | open]
+  end
+
+  defp texts({:endElement, _, _, _} = event, where, [{name, %{text: parts} = given, inner} | open]),
+       do: grow(event, where, [{name, %{given | text: IO.iodata_to_binary(parts)}, inner} | open])
+
+  defp texts(event, where, open), do: grow(event, where, open)
 end

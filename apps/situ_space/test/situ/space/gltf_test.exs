@@ -59,6 +59,49 @@ defmodule Situ.Space.Scan.GltfTest do
     assert mesh.indices == <<0::little-32, 1::little-32, 2::little-32>>
   end
 
+  @tag :tmp_dir
+  test "bytes in a file of its own folder, and in no other", %{tmp_dir: folder} do
+    own = Path.join(folder, "own")
+    File.mkdir_p!(Path.join(own, "parts"))
+    File.write!(Path.join([own, "parts", "two words.bin"]), @bytes)
+    File.write!(Path.join(folder, "outside.bin"), @bytes)
+
+    write = fn uri ->
+      text = JSON.encode(scene(%{buffers: [%{byteLength: 44, uri: uri}]}))
+      File.write!(Path.join(own, "robot.gltf"), text)
+      Situ.Space.Scan.read(Path.join(own, "robot.gltf"))
+    end
+
+    {:ok, whole} = Gltf.read(glb(scene()))
+    assert write.("parts/two%20words.bin") == {:ok, whole}
+    assert {:error, %{why: "the file with its bytes" <> _}} = write.("parts/none.bin")
+
+    for outside <- [
+          "../outside.bin",
+          "parts/../../outside.bin",
+          "%2e%2e/outside.bin",
+          "/etc/passwd",
+          "file:///etc/passwd",
+          "",
+          "a%00b",
+          "%zz"
+        ],
+        do: assert({:error, %{code: :bad_file}} = write.(outside))
+
+    assert {:error, %{why: why}} = Gltf.read(File.read!(Path.join(own, "robot.gltf")))
+    assert why =~ "file"
+  end
+
+  test "materials that a file needs are no hindrance, compression is" do
+    assert {:ok, _} = Gltf.read(glb(scene(%{extensionsRequired: ["KHR_materials_unlit"]})))
+
+    assert {:error, %{why: why}} =
+             Gltf.read(glb(scene(%{extensionsRequired: ["KHR_draco_mesh_compression"]})))
+
+    assert why =~ "KHR_draco"
+    assert {:error, _} = Gltf.read(glb(scene(%{extensionsRequired: 3})))
+  end
+
   test "bytes inside the text, a matrix, strips, fans and points" do
     uri = "data:application/octet-stream;base64," <> Base.encode64(@bytes)
     matrix = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 3, 1]
@@ -84,7 +127,7 @@ defmodule Situ.Space.Scan.GltfTest do
           {"no json", "no JSON"},
           {<<"glTF", 2::little-32, 9::32, 900::little-32, "JSON">>, "cut off"},
           {glb(scene(%{extensionsRequired: ["KHR_draco_mesh_compression"]})), "draco"},
-          {glb(scene(%{buffers: [%{uri: "../secret.bin"}]})), "another file"},
+          {glb(scene(%{buffers: [%{uri: "../secret.bin"}]})), "own folder"},
           {glb(scene(%{nodes: [%{children: [0]}]})), "hangs on two"},
           {glb(scene(%{nodes: [%{children: [7]}]})), "no number 7"},
           {glb(scene(), binary_part(@bytes, 0, 20)), "too early"},

@@ -104,6 +104,21 @@ defmodule Situ.Space.ScanTest do
     assert [%{name: "Mesh"}] = Store.streams(store)
   end
 
+  test "PLY as bytes of the other order" do
+    head =
+      "ply\nformat binary_big_endian 1.0\nelement vertex 3\nproperty float x\nproperty double y\n" <>
+        "property short z\nelement face 1\nproperty list uchar uint vertex_indices\nend_header\n"
+
+    rows =
+      for {x, y, z} <- [{1.5, 2.5, -3}, {0.0, 1.0, 2}, {4.0, 0.0, 0}],
+          into: <<>>,
+          do: <<x::float-32, y::float-64, z::16>>
+
+    assert {:ok, mesh} = Ply.read(head <> rows <> <<3, 0::32, 1::32, 2::32>>)
+    assert mesh.indices == <<0::little-32, 1::little-32, 2::little-32>>
+    assert hd(PointCloud.to_points(Mesh.to_cloud(mesh))) == {1.5, 2.5, -3.0}
+  end
+
   test "what is none says why" do
     las = File.read!(@las)
     assert {:error, %{why: "it is cut short" <> _}} = Las.read(binary_part(las, 0, 2_000))
@@ -115,8 +130,8 @@ defmodule Situ.Space.ScanTest do
 
     assert {:error, %{why: "its header has no end"}} = Ply.read("ply\nformat ascii 1.0\n")
 
-    assert {:error, %{why: "its format is binary_big_endian"}} =
-             Ply.read("ply\nformat binary_big_endian 1.0\nend_header\n")
+    assert {:error, %{why: "its format is morse"}} =
+             Ply.read("ply\nformat morse 1.0\nend_header\n")
 
     assert {:error, %{why: "it is cut short"}} =
              Ply.read(binary_part(binary_ply(), 0, byte_size(binary_ply()) - 3))

@@ -179,7 +179,7 @@ class Stage {
 
   // A tool of the bar; answers which are switched on.
   use(name) {
-    if (name === "fit") this.view.fit(this.places());
+    if (name === "fit") this.view.fit(this.places(), this.ahead());
     else if (name === "top") this.view.top();
     else if (this.on.has(name)) this.on.delete(name);
     else this.on.add(name);
@@ -189,6 +189,25 @@ class Stage {
     if (name === "fly") this.canvas.focus();
     this.changed();
     return [...this.on];
+  }
+
+  // The first look: at everything, and again when more of it has come, until the viewer moves.
+  look() {
+    const filled = [...this.layers].filter(([, l]) => l.parts.length && !l.near).map(([key]) => key);
+    const known = this.looked ?? new Set();
+    if (filled.every((key) => known.has(key)) || (this.looked && this.view.moved)) return;
+    if (this.view.fit(this.places(), this.ahead())) this.looked = new Set(filled);
+  }
+
+  // Where the first camera of the scene looks.
+  ahead() {
+    for (const layer of this.layers.values())
+      for (const { item } of layer.group.visible ? layer.parts : [])
+        if (item.kind === "frusta" && item.count) {
+          const at = (k) => new Vector3().fromArray(item.corner, 3 * k).applyMatrix4(layer.group.matrix);
+          return at(1).add(at(2)).add(at(3)).add(at(4)).divideScalar(4).sub(at(0));
+        }
+    return null;
   }
 
   *places() {
@@ -218,7 +237,7 @@ class Stage {
     this.pixels = pixels;
     const { width, height } = this.canvas;
     this.view.size(width, height);
-    if (!this.looked) this.looked = this.view.fit(this.places());
+    this.look();
     const flying = this.view.step();
     const { camera } = this.view;
     this.lamp.position.copy(camera.position);

@@ -15,6 +15,15 @@ const UP = new Vector3(0, 0, 1);
 // From where one looks first: behind, to the right, above.
 const FROM = new Vector3(-0.72, -0.45, 0.53).normalize();
 
+// Behind who looks ahead, a little to the right and above; one who looks up or down is looked at as any other.
+function behind(ahead) {
+  const right = new Vector3().crossVectors(ahead, UP);
+  if (right.length() < 0.5 * ahead.length()) return FROM;
+  right.normalize();
+  const back = new Vector3().crossVectors(right, UP);
+  return back.addScaledVector(right, 0.28).addScaledVector(UP, 0.36).normalize();
+}
+
 export class Viewpoint {
   constructor(canvas, changed) {
     this.changed = changed;
@@ -90,7 +99,9 @@ export class Viewpoint {
     this.orbit.update();
   }
 
-  fit(places) {
+  // Sees all of `places`, from behind a camera that looks `ahead`, if there is one: there its cloud has fewest holes.
+  fit(places, ahead) {
+    const from = ahead ? behind(ahead) : FROM;
     const box = new Box3();
     const all = [];
     for (const v of places) {
@@ -99,17 +110,17 @@ export class Viewpoint {
     }
     if (box.isEmpty()) return false;
     const middle = box.getCenter(new Vector3());
-    const distance = Math.max(this.distance(all, middle), 0.8);
-    this.camera.position.copy(middle).addScaledVector(FROM, distance);
+    const distance = Math.max(this.distance(all, middle, from), 0.8);
+    this.camera.position.copy(middle).addScaledVector(from, distance);
     this.reframe(middle, distance);
     this.moved = false;
     return true;
   }
 
   // How far from `middle` one has to be to see all places, and a little around them.
-  distance(places, middle) {
-    const right = new Vector3().crossVectors(UP, FROM).normalize();
-    const up = new Vector3().crossVectors(FROM, right);
+  distance(places, middle, from) {
+    const right = new Vector3().crossVectors(UP, from).normalize();
+    const up = new Vector3().crossVectors(from, right);
     const high = Math.tan((this.camera.fov * Math.PI) / 360) / 1.12;
     const wide = high * this.camera.aspect;
     const off = new Vector3();
@@ -117,7 +128,7 @@ export class Viewpoint {
     for (const v of places) {
       off.subVectors(v, middle);
       const needs = Math.max(Math.abs(off.dot(right)) / wide, Math.abs(off.dot(up)) / high);
-      most = Math.max(most, needs + off.dot(FROM));
+      most = Math.max(most, needs + off.dot(from));
     }
     return most;
   }

@@ -50,9 +50,8 @@ export function drawShapes(ctx, { shapes: s, vis, index }, map) {
     ctx.strokeStyle = color;
     ctx.strokeRect(left, map.y(y), w * map.k, h * map.k);
     const track = Number.isInteger(id) ? String(id) : null;
-    const text = [label, track, score == null ? null : number(score, 2)]
-      .filter((p) => p != null && p !== "")
-      .join("  ");
+    const some = (parts, between) => parts.filter((p) => p != null && p !== "").join(between);
+    const text = some([some([label, track], " "), score == null ? null : number(score, 2)], " · ");
     if (text && props.labels !== false) tag(ctx, text, left - 1, map.y(y), color);
   });
   const color = seriesColor(props.color, own);

@@ -50,6 +50,22 @@ defmodule Situ.Examples.Scene.Crop do
 
   defp clamp(x, most), do: x |> round() |> max(0) |> min(most)
 
+  @doc """
+  Those whose middle lies in the picture.
+
+      iex> alias Situ.Examples.Scene.Crop
+      iex> [near, far] = for x <- [0, 9], do: {Situ.Rect.new!(x: x, y: 0, width: 2, height: 2), []}
+      iex> Crop.inside([near, far], Situ.Image.filled(8, 8, :gray8)) == [near]
+      true
+  """
+  @spec inside([detection()], Image.t()) :: [detection()]
+  def inside(found, %Image{width: w, height: h}) do
+    for {rect, _} = detection <- found,
+        {x, y} = {rect.x + rect.width / 2, rect.y + rect.height / 2},
+        x >= 0 and x < w and y >= 0 and y < h,
+        do: detection
+  end
+
   @doc "The detection in the part of the picture that begins there."
   @spec shift(detection(), {number(), number()}) :: detection()
   def shift({rect, joints}, {dx, dy}) do

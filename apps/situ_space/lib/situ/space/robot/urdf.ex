@@ -185,7 +185,7 @@ defmodule Situ.Space.Robot.Urdf do
     scale = numbers({"mesh", given, []}, "scale", {1.0, 1.0, 1.0})
 
     with {:ok, path} <- find(name, folder),
-         {:ok, %Mesh{} = mesh} <- Scan.read(path) do
+         {:ok, %Mesh{} = mesh} <- Scan.read(path, axes: :own) do
       with why when is_binary(why) <- scaled(mesh, scale), do: "#{Path.basename(name)}: #{why}"
     else
       {:ok, _cloud} -> "#{Path.basename(name)} has no surface"

@@ -1,7 +1,8 @@
 defmodule Situ.Space.Scan.Gltf do
   @moduledoc false
-  # glTF 2.0 by Khronos, as one file: `.glb`, or `.gltf` with its bytes inside. Every triangle of the scene at the place
-  # of its node, without materials, skins and animations. Its axes (y up, z forward) become ours (x forward, z up).
+  # glTF 2.0 by Khronos: `.glb`, or `.gltf` with its bytes inside or in files of its own folder. Every triangle of the
+  # scene at the place of its node, without materials, skins and animations. Its axes (y up, z forward) become ours (x
+  # forward, z up).
   import Situ.Bits, only: [known: 1]
   import Bitwise
   alias Situ.{Error, JSON, Mesh}
@@ -10,15 +11,24 @@ defmodule Situ.Space.Scan.Gltf do
   @most 50_000_000
   @numbers %{5121 => 1, 5123 => 2, 5125 => 4}
 
-  @doc "The mesh of a whole scene."
-  @spec read(binary()) :: {:ok, Mesh.t()} | {:error, Error.t()}
-  def read(bytes) do
+  # Of extensions that a file needs, those that change no place.
+  @harmless ~r/\A(KHR_materials_|KHR_texture_|EXT_texture_|KHR_lights_|KHR_xmp|KHR_animation_)/
+  @most_bytes 2_000_000_000
+
+  @doc "The mesh of a whole scene; `folder` is where files may lie that it names, `nil` for nowhere."
+  @spec read(binary(), Path.t() | nil) :: {:ok, Mesh.t()} | {:error, Error.t()}
+  def read(bytes, folder \\ nil) do
     {json, body} = chunks(bytes)
 
     case JSON.decode(json) do
-      {:ok, %{"asset" => %{"version" => "2." <> _}} = scene} -> scene |> supported() |> mesh(body)
-      {:ok, _} -> bad("it is no glTF of version 2")
-      {:error, _} -> bad("its description is no JSON")
+      {:ok, %{"asset" => %{"version" => "2." <> _}} = scene} ->
+        scene |> supported() |> fetched(folder) |> mesh(body)
+
+      {:ok, _} ->
+        bad("it is no glTF of version 2")
+
+      {:error, _} ->
+        bad("its description is no JSON")
     end
   catch
     {:bad, why} -> bad(why)
@@ -42,8 +52,11 @@ defmodule Situ.Space.Scan.Gltf do
   defp chunks(text), do: {text, nil}
 
   defp supported(scene) do
-    case scene["extensionsRequired"] do
-      none when none in [nil, []] ->
+    needs = scene["extensionsRequired"] || []
+    if not is_list(needs), do: no!("what it needs is no list")
+
+    case Enum.reject(needs, &(is_binary(&1) and &1 =~ @harmless)) do
+      [] ->
         scene
 
       needs ->
@@ -253,19 +266,43 @@ defmodule Situ.Space.Scan.Gltf do
   defp offset(%{"byteOffset" => _}), do: no!("an offset is no number")
   defp offset(_none), do: 0
 
-  # No file beside is opened: a file from elsewhere could name any.
-  defp buffer(%{"uri" => "data:" <> data}, _number, _body) do
+  # Buffers with the bytes that they name, each read once.
+  defp fetched(scene, folder),
+    do: Map.put(scene, "buffers", Enum.map(maps(scene["buffers"]), &fetch(&1, folder)))
+
+  defp fetch(%{"uri" => "data:" <> data} = buffer, _folder) do
     with [_, text] <- String.split(data, ";base64,", parts: 2),
          {:ok, bytes} <- Base.decode64(text) do
-      bytes
+      Map.put(buffer, "bytes", bytes)
     else
       _ -> no!("its bytes are no base64")
     end
   end
 
-  defp buffer(%{"uri" => _}, _number, _body),
-    do: no!("its bytes are in another file: save it as .glb")
+  defp fetch(%{"uri" => uri} = buffer, folder) when is_binary(uri) do
+    name = URI.decode(uri)
 
+    # a file from elsewhere names files of its own folder only
+    if folder == nil or name == "" or Path.type(name) != :relative or name =~ ~r/[\x00:\\]/ or
+         ".." in Path.split(name),
+       do: no!("its bytes are in a file that is not in its own folder: save it as .glb")
+
+    path = Path.join(folder, name)
+
+    with {:ok, %{type: :regular, size: size}} when size <= @most_bytes <- File.stat(path),
+         {:ok, bytes} <- File.read(path) do
+      Map.put(buffer, "bytes", bytes)
+    else
+      _ -> no!("the file with its bytes, #{String.slice(name, 0, 100)}, is not there")
+    end
+  rescue
+    ArgumentError -> no!("the name of the file with its bytes is none")
+  end
+
+  defp fetch(%{"uri" => _}, _folder), do: no!("the name of the file with its bytes is none")
+  defp fetch(buffer, _folder), do: Map.delete(buffer, "bytes")
+
+  defp buffer(%{"bytes" => bytes}, _number, _body), do: bytes
   defp buffer(_own, 0, body) when is_binary(body), do: body
   defp buffer(_own, _number, _body), do: no!("it has no bytes")
 end

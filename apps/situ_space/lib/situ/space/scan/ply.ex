@@ -59,7 +59,10 @@ defmodule Situ.Space.Scan.Ply do
         {:cont, {:ok, :ascii, elements}}
 
       {["format", "binary_little_endian", _], _} ->
-        {:cont, {:ok, :binary, elements}}
+        {:cont, {:ok, :little, elements}}
+
+      {["format", "binary_big_endian", _], _} ->
+        {:cont, {:ok, :big, elements}}
 
       {["format", other | _], _} ->
         {:halt, {:error, "its format is #{other}"}}
@@ -110,12 +113,12 @@ defmodule Situ.Space.Scan.Ply do
     :no_number -> {:error, "one of its lines holds no numbers"}
   end
 
-  defp body(:binary, elements, bytes) do
+  defp body(order, elements, bytes) do
     elements
     |> Enum.reduce({:ok, %{}, bytes}, fn {name, count, properties}, {:ok, rows, bytes} ->
       # every row has a byte at least: what is announced is bounded by what is there
       if count > byte_size(bytes), do: throw(:short)
-      {own, rest} = repeat(count, bytes, &values(properties, &1, []))
+      {own, rest} = repeat(count, bytes, &values(properties, &1, order, []))
       {:ok, Map.put(rows, name, own), rest}
     end)
     |> rows()
@@ -147,43 +150,43 @@ defmodule Situ.Space.Scan.Ply do
     end
   end
 
-  defp values([], bytes, row), do: {Enum.reverse(row), bytes}
+  defp values([], bytes, _order, row), do: {Enum.reverse(row), bytes}
 
-  defp values([{_, {:list, size, type}} | rest], bytes, row) do
-    {count, bytes} = value(size, bytes)
+  defp values([{_, {:list, size, type}} | rest], bytes, order, row) do
+    {count, bytes} = value(size, bytes, order)
     if not is_integer(count) or count < 0 or count > byte_size(bytes), do: throw(:short)
 
-    {list, bytes} = repeat(count, bytes, &value(type, &1))
+    {list, bytes} = repeat(count, bytes, &value(type, &1, order))
 
-    values(rest, bytes, [list | row])
+    values(rest, bytes, order, [list | row])
   end
 
-  defp values([{_, type} | rest], bytes, row) do
-    {value, bytes} = value(type, bytes)
-    values(rest, bytes, [value | row])
+  defp values([{_, type} | rest], bytes, order, row) do
+    {value, bytes} = value(type, bytes, order)
+    values(rest, bytes, order, [value | row])
   end
 
-  defp value({:float, size}, bytes) do
+  defp value({kind, size}, bytes, order) do
     case bytes do
-      <<x::little-float-known(size)-unit(8), rest::binary>> -> {x, rest}
-      <<_::binary-known(size), rest::binary>> -> {:nan, rest}
+      <<own::binary-known(size), rest::binary>> -> {number(kind, 8 * size, own, order), rest}
       _ -> throw(:short)
     end
   end
 
-  defp value({:int, size}, bytes) do
-    case bytes do
-      <<x::little-signed-known(size)-unit(8), rest::binary>> -> {x, rest}
-      _ -> throw(:short)
+  defp number(:float, bits, bytes, order) do
+    case {order, bytes} do
+      {:little, <<x::little-float-known(bits)>>} -> x
+      {:big, <<x::float-known(bits)>>} -> x
+      _ -> :nan
     end
   end
 
-  defp value({:uint, size}, bytes) do
-    case bytes do
-      <<x::little-known(size)-unit(8), rest::binary>> -> {x, rest}
-      _ -> throw(:short)
-    end
-  end
+  defp number(:int, bits, bytes, :little),
+    do: with(<<x::little-signed-known(bits)>> <- bytes, do: x)
+
+  defp number(:int, bits, bytes, :big), do: with(<<x::signed-known(bits)>> <- bytes, do: x)
+  defp number(:uint, bits, bytes, :little), do: with(<<x::little-known(bits)>> <- bytes, do: x)
+  defp number(:uint, bits, bytes, :big), do: with(<<x::known(bits)>> <- bytes, do: x)
 
   defp shape(rows, elements) do
     {_, _, properties} = List.keyfind(elements, "vertex", 0) || {nil, 0, []}

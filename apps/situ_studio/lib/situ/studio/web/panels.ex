@@ -76,7 +76,7 @@ defmodule Situ.Studio.Web.Panels do
         <div class="cell-head">
           <.grip id={panel.id} kind="cell" />
           <button class="title" type="button" phx-click="select_panel" phx-value-id={panel.id}
-              title={names(panel)}>{names(panel)}</button>
+              title={names(panel)}><.called vis={panel.vis} /></button>
           <.maximise panel={panel} max={@max} />
           <button class="mini" type="button" phx-click="remove_panel" phx-value-id={panel.id} title="Remove"
               aria-label={"Remove " <> names(panel)}><.icon name={:close} /></button>
@@ -89,6 +89,10 @@ defmodule Situ.Studio.Web.Panels do
     </section>
     """
   end
+
+  # One stream by its whole name, several by the parts that tell them apart.
+  defp called(%{vis: [_one]} = assigns), do: ~H"<bdi>{names(%{vis: @vis})}</bdi>"
+  defp called(assigns), do: ~H"{@vis |> short_names() |> Enum.join(\", \")}"
 
   # A panel of another kind is another element: the page opens it anew.
   defp body(panel), do: "body-#{panel.id}-#{panel.panel}"
