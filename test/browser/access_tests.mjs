@@ -57,6 +57,40 @@ const screens = {
     await page.click('#menu button:has-text("Run loudness…")');
     await until(page, () => document.querySelector("#task"), "the dialog");
   },
+  // each dialog of the tree's menus
+  "dataset dialogs": async (page) => {
+    await screens.dataset(page);
+    await page.click("#tree .session .fold");
+    for (const [row, item, dialog] of [
+      ["dataset", "Add each folder in a folder", "#folders"],
+      ["partition", "Take another recording", "#relocate"],
+      ["partition", "Save a part as", "#part"],
+    ]) {
+      await page.click(`#tree .node.${row} .name`, { button: "right" });
+      equal(await objections(page), [], "objections to the menu");
+      await page.click(`#menu button:has-text("${item}")`);
+      await until(page, (d) => document.querySelector(d)?.open, "the dialog", dialog);
+      equal(await objections(page), [], `objections to ${dialog}`);
+      if (dialog !== "#part") await page.keyboard.press("Escape");
+      await until(page, (d) => d === "#part" || !document.querySelector(d), "it is closed", dialog);
+    }
+  },
+  "menu of annotations": async (page) => {
+    await screens.annotations(page);
+    await page.focus("#annotation-body");
+    await page.keyboard.press("Shift+F10");
+    await until(page, () => !document.getElementById("menu").hidden, "the menu");
+  },
+  "schema dialog": async (page) => {
+    await screens.annotations(page);
+    await page.click(".annotation-tools button:text('Schema…')");
+    await until(page, () => document.querySelector("#schema-dialog")?.open, "the dialog");
+  },
+  proposals: async (page) => {
+    await screens.annotations(page);
+    await page.evaluate(() => window.situStudio.options.push("annotation_propose", { stream: "Vad.Speaking" }));
+    await until(page, () => window.situStudio.annotation.told.items.some((a) => a.proposed), "proposals");
+  },
   "annotation dialog": async (page) => {
     await open(page, main, "minute.0000");
     await page.keyboard.press("a");

@@ -120,3 +120,46 @@ test("1 settings: a question of the page is answered by keys, and Escape answers
   await until(page, () => window.situStudio.annotation?.told.items.length === 1, "a comment");
   await settled(page);
 });
+
+test("1 settings: the list knows what was looked at last, and the studio begins there if wanted", async ({
+  page,
+  context,
+}) => {
+  await open(page, main, "uneven.0000");
+  await page.goto(`${main}/d/study.json`);
+  await page.goto(main);
+  await until(page, () => document.querySelectorAll("#recent a").length === 2, "both are there");
+  equal(
+    await page.$$eval("#recent a", (a) => a.map((e) => [new URL(e.href).pathname, e.textContent])),
+    [
+      ["/d/study.json", "study.json"],
+      ["/s/uneven.0000", "uneven.0000"],
+    ],
+    "the newest first",
+  );
+  await page.evaluate(() => localStorage.setItem("situ:settings", JSON.stringify({ first: "last" })));
+  const fresh = await context.newPage();
+  await fresh.goto(main);
+  await until(fresh, () => location.pathname === "/d/study.json", "a new tab begins there");
+  await fresh.goto(main);
+  await until(fresh, () => document.querySelector("#recent a"), "the list is still to be had");
+});
+
+test("1 settings: who leaves a changed layout is asked where that is wanted", async ({ page }) => {
+  await page.goto(`${main}/settings`);
+  await page.selectOption("#setting-keep", "ask");
+  await until(page, () => document.getElementById("toast").textContent === "Kept", "kept");
+  await open(page, main, "uneven.0000");
+  await page.click("[phx-click='layout_dialog']");
+  await page.fill("#layout-save input", "Asked");
+  await page.keyboard.press("Enter");
+  await until(page, () => document.querySelector("#studio").dataset.layout === "Asked", "a named layout");
+  const asked = [];
+  page.on("dialog", (d) => (asked.push(d.type()), d.accept()));
+  await page.keyboard.press("b");
+  await until(page, () => document.querySelector("#studio").dataset.edit, "a change");
+  await page.goto(`${main}/settings`);
+  equal(asked, ["beforeunload"], "the page asks");
+  await page.selectOption("#setting-keep", "by_hand");
+  await until(page, () => document.getElementById("toast").textContent === "Kept", "as before");
+});

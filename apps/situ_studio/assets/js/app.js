@@ -19,6 +19,7 @@ import { showStatistics } from "./page/statistics.js";
 import { copyViewerLink } from "./page/viewer_link.js";
 import { toast } from "./page/toast.js";
 import { Together } from "./page/together.js";
+import { remember } from "./page/recent.js";
 import { tellTimes } from "./page/times.js";
 
 let studio = null;
@@ -63,6 +64,10 @@ const hooks = {
       // what is done while the server is away is not kept, and says so
       app.options.push = (event, payload) =>
         this.pushEvent(event, payload)?.catch?.(() => toast("The server does not answer: nothing was changed"));
+      remember();
+      // a named layout that was changed and not saved, where the settings want to be asked
+      this.leaving = (e) => this.el.dataset.keep === "ask" && this.el.dataset.edit && e.preventDefault();
+      addEventListener("beforeunload", this.leaving);
       this.handleEvent("snap", ({ stream }) => app.snapTo(stream));
       this.handleEvent("toast", ({ text }) => toast(text));
       this.handleEvent("statistics", ({ rows }) => {
@@ -93,6 +98,7 @@ const hooks = {
       tellTimes(this.el);
     },
     destroyed() {
+      removeEventListener("beforeunload", this.leaving);
       studio?.together.destroy();
       studio?.destroy();
       studio = null;

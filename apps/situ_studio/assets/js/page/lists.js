@@ -4,6 +4,7 @@ import { Menu } from "./menu.js";
 import { setTheme } from "./theme.js";
 import { copy, toast } from "./toast.js";
 import { sure as asked } from "./ask.js";
+import { remember, showRecent } from "./recent.js";
 import { tellTimes } from "./times.js";
 
 const otherTheme = () => setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
@@ -45,6 +46,9 @@ export const hooks = {
       };
       document.addEventListener("keydown", this.key);
       this.handleEvent("toast", ({ text }) => toast(text));
+      if (this.el.id === "dataset") remember();
+      const last = document.getElementById("recent");
+      if (last) showRecent(last);
       this.handleEvent("go", ({ href }) => location.assign(href));
       tellTimes(this.el);
     },

@@ -6,10 +6,13 @@ export class Menu {
   // itemsFor(target, event) -> [{text, hint?, run, disabled?} or "-"], or null where there is none
   constructor(root, itemsFor) {
     Object.assign(this, { itemsFor });
-    this.el = document.body.appendChild(document.createElement("div"));
+    // a landmark, so that who goes from one to the next by ear comes upon it
+    this.landmark = document.body.appendChild(document.createElement("nav"));
+    this.landmark.setAttribute("aria-label", "Menu");
+    this.el = this.landmark.appendChild(document.createElement("div"));
     this.el.id = "menu";
     this.el.setAttribute("role", "menu");
-    this.el.hidden = true;
+    this.el.hidden = this.landmark.hidden = true;
     root.addEventListener("contextmenu", (e) => this.asked(e));
     root.addEventListener("pointerdown", (e) => this.pressed(e));
     for (const name of ["pointerup", "pointercancel", "pointermove"])
@@ -61,7 +64,7 @@ export class Menu {
         item.run();
       });
     }
-    this.el.hidden = false;
+    this.el.hidden = this.landmark.hidden = false;
     const { offsetWidth: w, offsetHeight: h } = this.el;
     this.el.style.left = `${Math.max(4, Math.min(x, innerWidth - w - 4))}px`;
     this.el.style.top = `${Math.max(4, Math.min(y, innerHeight - h - 4))}px`;
@@ -73,6 +76,8 @@ export class Menu {
     const i = all.indexOf(document.activeElement);
     if (e.key === "ArrowDown") all[(i + 1) % all.length].focus();
     else if (e.key === "ArrowUp") all[(i + all.length - 1) % all.length].focus();
+    else if (e.key === "Home") all[0].focus();
+    else if (e.key === "End") all.at(-1).focus();
     else if (e.key === "Escape" || e.key === "Tab") this.close();
     else return;
     e.preventDefault();
@@ -81,12 +86,12 @@ export class Menu {
 
   close() {
     if (this.el.hidden) return;
-    this.el.hidden = true;
+    this.el.hidden = this.landmark.hidden = true;
     if (this.el.contains(document.activeElement)) this.back?.focus?.({ preventScroll: true });
   }
 
   destroy() {
     document.removeEventListener("pointerdown", this.outside, true);
-    this.el.remove();
+    this.landmark.remove();
   }
 }

@@ -37,6 +37,15 @@ export const SETTINGS = [
       ["selection", "since the selection's start"],
     ],
   },
+  {
+    id: "first",
+    title: "The studio begins with",
+    usual: "list",
+    choices: [
+      ["list", "the list of recordings"],
+      ["last", "what was looked at last"],
+    ],
+  },
   { id: "follow", title: "The cursor follows the mouse", usual: true },
   {
     id: "wheel",

@@ -13,7 +13,7 @@ defmodule Situ.Studio.Settings do
   | setting | means | usual |
   |---|---|---|
   | `layout` | the layout a recording opens with, where its address names none | `Automatic` |
-  | `keep` | `:by_hand`: a changed layout is saved on request; `:at_once`: with each change | `:by_hand` |
+  | `keep` | `:by_hand`: a changed layout is saved on request; `:at_once`: with each change; `:ask`: on request, and who leaves the page with changes is asked | `:by_hand` |
   | `info` | beside the streams' names: one of `Situ.Studio.Figures.choices/0` | `:rate` |
   | `alerts` | rules held against running pipelines, one a line (`Situ.Studio.Alerts.Rule`) | none |
   """
@@ -21,7 +21,7 @@ defmodule Situ.Studio.Settings do
   alias Situ.Studio.Alerts.Rule
   alias Situ.Studio.Layout
 
-  @keeps [:by_hand, :at_once]
+  @keeps [:by_hand, :at_once, :ask]
   @infos Keyword.keys(Situ.Studio.Figures.choices())
   @max_bytes 100_000
 
@@ -29,7 +29,7 @@ defmodule Situ.Studio.Settings do
 
   @type t :: %__MODULE__{
           layout: String.t(),
-          keep: :by_hand | :at_once,
+          keep: :by_hand | :at_once | :ask,
           info: atom(),
           alerts: String.t()
         }

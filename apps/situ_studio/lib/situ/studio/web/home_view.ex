@@ -127,6 +127,7 @@ defmodule Situ.Studio.Web.HomeView do
       <p class="hint" role="status">{count(length(@items), length(@found), @query)} ·
         <a class="linkish" href="settings" data-settings>Settings</a></p>
       <p :if={ClusterView.member?()} class="hint"><a href="cluster">The cluster: nodes, parts, links</a></p>
+      <nav id="recent" class="hint recent" phx-update="ignore" aria-label="Looked at last" hidden></nav>
       <form :if={length(@items) > 5 or @query != ""} class="search" phx-change="search" phx-submit="search"
           id="search-form">
         <input id="search" name="query" value={@query} placeholder="Search names and streams  /" autocomplete="off"
@@ -140,7 +141,7 @@ defmodule Situ.Studio.Web.HomeView do
           <span><.badges item={item} facts={@facts[item.id]}
             alerts={if item.kind == :pipeline, do: Alerts.count(@studio, item.id), else: 0} /></span></a>
       </div>
-      <p :if={@more > 0} class="hint">{@more} more: search to find them</p>
+      <p :if={@more > 0} class="hint more">{@more} more: search to find them</p>
       <p :if={@items == []} class="hint">Nothing has been recorded here yet; new recordings appear by themselves.
         <code>bin/demo</code> makes a first recording.</p>
       <details :if={@folder} class="new-dataset">

@@ -72,6 +72,7 @@ defmodule Situ.Studio.Web.MainView do
         undo: [],
         redo: [],
         info: Settings.load(settings.layouts).info,
+        keep: Settings.load(settings.layouts).keep,
         dialog: nil,
         error: nil
       )
@@ -325,7 +326,8 @@ defmodule Situ.Studio.Web.MainView do
     ~H"""
     <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-layout={@saved.name}
         data-edit={@edit} data-tiles={@tiles && @tiles.url} data-credit={@tiles && @tiles.credit}
-        data-annotate={@annotation && @annotation.stream}>
+        data-annotate={@annotation && @annotation.stream}
+        data-keep={@saved.name != Layout.Auto.name() && @keep}>
       <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""}
           read_only={@read_only} export={ExportDialog.offered?(assigns)}
           annotate={Annotation.offered?(assigns)} pipeline={pipeline(@item, @infos)} />

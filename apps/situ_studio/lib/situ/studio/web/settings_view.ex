@@ -7,7 +7,11 @@ defmodule Situ.Studio.Web.SettingsView do
   alias Situ.Studio.Alerts.Rule
   alias Situ.Studio.{Catalog, Figures, Layout, Layouts, Settings}
 
-  @keep [by_hand: "when it is saved by hand", at_once: "with every change"]
+  @keep [
+    by_hand: "when it is saved by hand",
+    at_once: "with every change",
+    ask: "by hand; leaving a changed one asks"
+  ]
 
   @impl true
   def mount(_params, session, socket) do
