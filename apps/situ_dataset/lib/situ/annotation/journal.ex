@@ -32,8 +32,9 @@ defmodule Situ.Annotation.Journal do
         else: [Situ.JSON.encode(head(base)), "\n", line]
 
     with :ok <- File.mkdir_p(Path.dirname(path)),
-         {:ok, device} <- :file.open(path, [:append, :raw, :binary]) do
-      written(device, line, path)
+         {:ok, device} <- :file.open(path, [:append, :raw, :binary]),
+         :ok <- written(device, line) do
+      :ok
     else
       {:error, reason} -> {:error, failed(path, reason)}
     end
@@ -46,18 +47,18 @@ defmodule Situ.Annotation.Journal do
     lines = for t <- transactions, do: [Situ.JSON.encode(Enum.map(t, &change/1)), "\n"]
 
     with {:ok, device} <- :file.open(temporary, [:write, :raw, :binary, :exclusive]),
-         :ok <- written(device, [Situ.JSON.encode(head(base)), "\n", lines], temporary),
+         :ok <- written(device, [Situ.JSON.encode(head(base)), "\n", lines]),
          :ok <- File.rename(temporary, path) do
       :ok
     else
-      {:error, error} ->
+      {:error, reason} ->
         _ = File.rm(temporary)
-        {:error, if(is_atom(error), do: failed(path, error), else: error)}
+        {:error, failed(path, reason)}
     end
   end
 
   # A line that could not be written whole is taken off again: it would be damage in front of the next.
-  defp written(device, line, path) do
+  defp written(device, line) do
     {:ok, before} = :file.position(device, :eof)
 
     with :ok <- :file.write(device, line), :ok <- :file.datasync(device) do
@@ -66,7 +67,7 @@ defmodule Situ.Annotation.Journal do
       {:error, reason} ->
         _ = :file.position(device, before)
         _ = :file.truncate(device)
-        {:error, failed(path, reason)}
+        {:error, reason}
     end
   after
     :file.close(device)

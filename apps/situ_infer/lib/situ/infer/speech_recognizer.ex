@@ -107,11 +107,9 @@ defmodule Situ.Infer.SpeechRecognizer do
   def handle_message(:speaking, %{data: speaking?, originating_time: time}, context, state),
     do: answer(%{ask(state, {time, speaking?}, time) | now: context.now})
 
-  def handle_message(:options, %{data: changes}, _context, %{opts: opts} = state) do
-    own = Keyword.merge(opts.recognizer_options, changes)
-    model = Error.unwrap!(opts.recognizer.load(own))
-    {[], %{state | model: model, opts: %{opts | recognizer_options: own}}}
-  end
+  # Whatever was said before is still recognised as it was asked for then.
+  def handle_message(:options, %{data: changes}, _context, state),
+    do: answer(%{state | asked: :queue.in({:options, changes}, state.asked)})
 
   @impl true
   def handle_closed(:options, _time, _context, state), do: {[], state}
@@ -127,7 +125,7 @@ defmodule Situ.Infer.SpeechRecognizer do
 
   defp ask(state, value, to), do: %{state | asked: :queue.in(value, state.asked), asked_to: to}
 
-  # Each value of `speaking` is handled once the sound around it has come.
+  # Each value of `speaking` is handled once the sound around it has come; other options come in between.
   defp answer(state) do
     case :queue.peek(state.asked) do
       {:value, next} ->
@@ -159,6 +157,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   defp foresee(%{open: %{to: to}} = state),
     do: put_in(state.open.early, {to, recognize(state, to + state.opts.margin)})
 
+  defp ready?(_state, {:options, _changes}), do: true
   defp ready?(%{deaf?: true, asked_to: :infinity}, _next), do: true
 
   defp ready?(%{deaf?: true} = state, next),
@@ -171,6 +170,12 @@ defmodule Situ.Infer.SpeechRecognizer do
     until = time + opts.margin
     known? = speaking? or open == nil or state.asked_to >= until
     known? and state.heard_to >= until
+  end
+
+  defp step({:options, changes}, %{opts: opts} = state) do
+    own = Keyword.merge(opts.recognizer_options, changes)
+    model = Error.unwrap!(opts.recognizer.load(own))
+    {[], %{state | model: model, opts: %{opts | recognizer_options: own}}}
   end
 
   defp step(:closed, %{open: nil} = state), do: {[], state}

@@ -61,7 +61,7 @@ defmodule Situ.Media.Device do
   @doc "How to play to `address`: the output options of `ffmpeg`."
   @callback playback(address(), opts :: keyword()) :: {:ok, [String.t()]} | {:error, Error.t()}
 
-  @doc "What to look at when a device of this kind cannot be opened."
+  @doc "Where to look when a device of this kind cannot be opened."
   @callback help(kind()) :: String.t()
 
   @optional_callbacks playback: 2, help: 1

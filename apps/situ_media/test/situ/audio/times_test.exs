@@ -158,7 +158,7 @@ defmodule Situ.Audio.TimesTest do
       end
 
       assert {:error, %{code: :gap_too_long} = error} = Situ.collect(build)
-      assert Exception.message(error) =~ "87599 h"
+      assert Exception.message(error) =~ "3649 d 23 h"
     end
 
     build = fn p ->

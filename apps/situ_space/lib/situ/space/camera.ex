@@ -15,7 +15,7 @@ defmodule Situ.Space.Camera do
   """
   alias Situ.{CameraIntrinsics, CameraView, Pose, Ray3, Vector3}
 
-  @type pixel :: {float(), float()}
+  @type pixel :: {number(), number()}
   @typedoc "On the plane at distance 1: to the right and down, in units of that distance."
   @type normalized :: {float(), float()}
 

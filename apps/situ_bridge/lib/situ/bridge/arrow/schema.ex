@@ -99,7 +99,7 @@ defmodule Situ.Bridge.Arrow.Schema do
     end
   end
 
-  # What is in a list, a map or a struct: the places of the first begin behind its own buffers.
+  # The columns in a list, a map or a struct: the places of the first begin behind its own buffers.
   defp children(type, bytes, field, {node, buffer, view}, depth) do
     if nests?(type) do
       kind = FlatBuffer.number(bytes, field, 2, :u8, 0)

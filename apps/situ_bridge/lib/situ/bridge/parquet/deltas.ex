@@ -5,7 +5,7 @@ defmodule Situ.Bridge.Parquet.Deltas do
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Parquet.Runs
 
-  # What a page may become: prefixes can repeat much with few bytes.
+  # The most bytes that a page may become: prefixes can repeat much with few bytes.
   @most 268_435_456
 
   @spec texts(binary(), non_neg_integer()) :: [binary()]

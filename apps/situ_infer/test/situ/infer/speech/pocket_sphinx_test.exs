@@ -52,6 +52,9 @@ defmodule Situ.Infer.Speech.PocketSphinxTest do
     end
 
     heard.(10 * s)
+
+    # The inputs do not wait for one another: the first is here before the other grammar.
+    Situ.Test.settle(test)
     Situ.Test.feed(test, :options, [{15 * s, [grammar: @other]}])
     heard.(30 * s)
     Situ.Test.close(test, :sound)

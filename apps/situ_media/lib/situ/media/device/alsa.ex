@@ -30,8 +30,8 @@ defmodule Situ.Media.Device.Alsa do
 
   @impl true
   def help(kind) do
-    "`situ devices #{kind}s` lists what there is; a card that is there and does not open belongs to the group audio, " <>
-      "or to another program (pulse:default shares it)"
+    "`situ devices #{kind}s` lists what there is; a card that is there and does not open belongs to the group " <>
+      "audio, or to another program (pulse:default shares it)"
   end
 
   @doc """

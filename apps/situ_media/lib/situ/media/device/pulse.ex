@@ -52,8 +52,8 @@ defmodule Situ.Media.Device.Pulse do
 
   @impl true
   def help(kind) do
-    "`situ devices #{kind}s` lists what there is; none: start PulseAudio or PipeWire for this user, or name a device " <>
-      "of another driver (alsa:default)"
+    "`situ devices #{kind}s` lists what there is; none: start PulseAudio or PipeWire for this user, or name a " <>
+      "device of another driver (alsa:default)"
   end
 
   @doc """

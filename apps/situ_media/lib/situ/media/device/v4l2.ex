@@ -8,8 +8,8 @@ defmodule Situ.Media.Device.V4L2 do
 
   @impl true
   def help(kind) do
-    "`situ devices #{kind}s` lists what there is; a camera that is there and does not open belongs to the group video, " <>
-      "or to another program"
+    "`situ devices #{kind}s` lists what there is; a camera that is there and does not open belongs to the group " <>
+      "video, or to another program"
   end
 
   @doc """
