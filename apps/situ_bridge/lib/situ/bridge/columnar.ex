@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Columnar do
   @moduledoc false
   # Messages as files of columns, and rows of such files as messages: what Parquet and Arrow share. The format is a
   # writer (`Situ.Bridge.Columnar.Writer`) or a reader (`Situ.Bridge.Columnar.Reader`).
-  alias Situ.Bridge.Columnar.{Column, Reader, Rows}
+  alias Situ.Bridge.Columnar.{Column, Joined, Reader, Rows}
   alias Situ.{Error, Store}
   alias Situ.Store.Columns
 
@@ -76,6 +76,36 @@ defmodule Situ.Bridge.Columnar do
     error in Error -> {:error, error}
   catch
     {:not_writable, what} -> not_writable("the messages", what)
+  end
+
+  @doc "Writes several streams of a recording as one table; options besides the format's and those of a join as `write/5`."
+  @spec join(module(), Store.t(), Path.t(), keyword()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def join(writer, store, path, opts) do
+    {joining, opts} = Keyword.split(opts, Keyword.keys(Joined.options()))
+    {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
+    {progress, opts} = Keyword.pop(opts, :progress, fn _rows -> :ok end)
+    on = joining[:on]
+    reading = Keyword.put_new(reading, :to, last(store, on))
+    parts = Joined.parts(store, on, others(store, on, joining[:streams]), joining, reading)
+    write_parts(writer, parts, path, opts, progress)
+  rescue
+    error in Error -> {:error, error}
+  catch
+    {:not_writable, what} -> not_writable("the table", what)
+  end
+
+  defp others(store, on, nil) do
+    for info <- Store.streams(store), info.name != on, table?(store, info), do: info.name
+  end
+
+  defp others(store, on, names) do
+    for name <- Enum.uniq(names), name != on do
+      case Store.stream_info(store, name) do
+        {:ok, info} -> info.name
+        {:error, error} -> raise error
+      end
+    end
   end
 
   defp not_writable(name, what) do

@@ -71,6 +71,23 @@ defmodule Situ.Bridge.Parquet do
     Columnar.write(Writer, store, name, path, opts ++ others)
   end
 
+  @doc """
+  Writes several streams of a recording as one table: `{:ok, rows}`, a row for each message of one of them, joined on
+  time. A column is called like its stream, that of a member `STREAM.MEMBER`.
+
+      Situ.Bridge.Parquet.join(store, "drive.parquet", on: "Speed", streams: ["Pose"], within: Situ.Time.ms(50))
+
+  Other options as `write/4`.
+
+  #{Situ.Options.docs(Situ.Bridge.Columnar.Joined.options())}
+  """
+  @spec join(Store.t(), Path.t(), keyword()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
+  def join(store, path, opts) do
+    {others, opts} = Keyword.split(opts, [:from, :to, :skip_damage, :progress])
+    schema = Keyword.merge(@export, Columnar.Joined.options())
+    Columnar.join(Writer, store, path, Situ.Options.validate!(opts, schema) ++ others)
+  end
+
   @doc ~S"""
   Writes messages from anywhere into a file: `{:ok, rows}`. `parts` are lists of messages; they are gone through twice,
   so enumerating them again must give the same ones.

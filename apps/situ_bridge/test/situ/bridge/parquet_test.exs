@@ -99,6 +99,67 @@ defmodule Situ.Bridge.ParquetTest do
     end
   end
 
+  describe "join/3" do
+    setup %{tmp_dir: dir} do
+      fast = for i <- 0..9, do: {i * 10, i}
+      slow = [{5, %{x: 1.5, ok: true}}, {47, %{x: 2.5, ok: false}}, {200, %{x: 3.5, ok: true}}]
+      %{store: recorded(dir, [{"Fast", fast}, {"Slow", slow}]), path: Path.join(dir, "j.parquet")}
+    end
+
+    defp rows(path),
+      do: for({time, row} <- Parquet.messages(path), do: {time, row["Fast"], row["Slow.x"]})
+
+    test "has a row for each message, with the others' nearest values", %{
+      store: store,
+      path: path
+    } do
+      assert {:ok, 10} = Parquet.join(store, path, on: "Fast")
+
+      assert rows(path) == [
+               {0, 0, 1.5},
+               {10, 1, 1.5},
+               {20, 2, 1.5},
+               {30, 3, 2.5},
+               {40, 4, 2.5},
+               {50, 5, 2.5},
+               {60, 6, 2.5},
+               {70, 7, 2.5},
+               {80, 8, 2.5},
+               {90, 9, 2.5}
+             ]
+
+      assert {:ok, 2} = Parquet.join(store, path, on: "Slow", streams: ["Fast"], to: 100)
+      assert [{5, 0, 1.5}, {47, 5, 2.5}] = rows(path)
+    end
+
+    test "or the values in force, no further away than wanted", %{store: store, path: path} do
+      assert {:ok, 10} = Parquet.join(store, path, on: "Fast", take: :latest)
+
+      assert for({_, _, x} <- rows(path), do: x) ==
+               [nil] ++ List.duplicate(1.5, 4) ++ List.duplicate(2.5, 5)
+
+      assert {:ok, 10} = Parquet.join(store, path, on: "Fast", within: 6)
+
+      assert for({t, _, x} <- rows(path), x != nil, do: {t, x}) == [
+               {0, 1.5},
+               {10, 1.5},
+               {50, 2.5}
+             ]
+
+      assert {:ok, 3} = Parquet.join(store, path, on: "Fast", from: 20, to: 40, take: :latest)
+      assert [{20, 2, 1.5}, {30, 3, 1.5}, {40, 4, 1.5}] = rows(path)
+    end
+
+    test "of a stream that is not there is an error", %{store: store, path: path} do
+      assert {:error, %{code: :no_stream}} = Parquet.join(store, path, on: "None")
+
+      assert {:error, %{code: :no_stream}} =
+               Parquet.join(store, path, on: "Fast", streams: ["None"])
+
+      refute File.exists?(path)
+    end
+  end
+
   # Made by pyarrow 25.0.1: the first with pages of the first kind, packed by LZ4, the second of the second, by Snappy.
   test "files of another library, with types and encodings that we do not write" do
     expected = [

@@ -41,9 +41,9 @@ defmodule Situ.CLI.Store.Saving do
         summary:
           "write messages to a file of another kind: CSV, JSON, MessagePack, Parquet, Arrow, Protobuf, MCAP, ROS 1 bag",
         about: """
-        MCAP files and bags hold all streams, or those chosen; the other files one stream. The layouts of CSV, JSON and
-        MessagePack are those of Situ.Bridge.Format, which \\psi reads and writes too. Plain numbers go to CSV,
-        Parquet and Arrow a million a second and faster.
+        MCAP files and bags hold all streams, or those chosen; the other files one stream, tables with --on several,
+        joined on time. The layouts of CSV, JSON and MessagePack are those of Situ.Bridge.Format, which \\psi reads
+        and writes too. Plain numbers go to CSV, Parquet and Arrow a million a second and faster.
         """,
         arguments: [
           path: [
@@ -73,11 +73,20 @@ defmodule Situ.CLI.Store.Saving do
                 ["none", "gzip", "lz4", "zstd"],
                 "of Parquet (none, gzip), MCAP (none, lz4, zstd) and bags (none, lz4)"
               ),
+              Option.new(
+                :on,
+                :string,
+                "Parquet, Arrow: all streams in one table, a row for each message of this one",
+                value: "STREAM"
+              ),
+              Option.new(:latest, :flag, "with --on: the others' last values, not the nearest"),
+              Option.new(:within, :span, "with --on: values further away are missing"),
               Option.new(:skip_damage, :flag, "leave out what is damaged; else that is an error")
             ] ++ Arguments.carried() ++ Protobuf.options(),
         examples: [
           "situ store save recordings/lobby levels.csv -s Lobby.Level",
           "situ store save recordings/lobby - -s Lobby.Level --format json_lines | jq .message",
+          "situ store save recordings/drive drive.parquet --on Speed -s Pose --within 50ms",
           "situ store save recordings/lobby lobby.mcap -x 'Lobby.Video*'"
         ],
         run: &save/2
@@ -113,6 +122,7 @@ defmodule Situ.CLI.Store.Saving do
   end
 
   defp save(format, store, chosen, file, opts, progress) when is_map_key(@recordings, format) do
+    alone!(opts)
     whole!(file, format)
     total = chosen |> Enum.map(& &1.count) |> Enum.sum()
     names = Enum.map(chosen, & &1.name)
@@ -137,22 +147,20 @@ defmodule Situ.CLI.Store.Saving do
   defp save(format, store, chosen, file, opts, progress) when is_map_key(@tables, format) do
     [] = carried(format, store, opts)
     whole!(file, format)
-    info = one(store, chosen)
+    info = if opts[:on], do: stream!(store, opts[:on]), else: one(store, chosen)
     written = [progress: &progress.(&1, info.count)] ++ compression(format, opts[:compression])
-
-    %{
-      messages: ok!(@tables[format].write(store, info.name, file, reading(opts) ++ written)),
-      stream: info.name
-    }
+    table(opts[:on], @tables[format], {store, info, chosen}, file, opts, reading(opts) ++ written)
   end
 
   defp save(:protobuf, store, chosen, file, opts, progress) do
+    alone!(opts)
     [] = carried(:protobuf, store, opts) ++ compression(:protobuf, opts[:compression])
     whole!(file, :protobuf)
     Protobuf.save(store, one(store, chosen), file, opts, {reading(opts), progress})
   end
 
   defp save(format, store, chosen, file, opts, progress) do
+    alone!(opts)
     [] = carried(format, store, opts)
     unless compression(format, opts[:compression]) == [], do: unpackable(format)
     info = one(store, chosen)
@@ -171,6 +179,24 @@ defmodule Situ.CLI.Store.Saving do
     put(out, Format.module!(format).finish(n))
     close(out)
     %{messages: n, stream: info.name}
+  end
+
+  defp table(nil, module, {store, info, _chosen}, file, _opts, written),
+    do: %{messages: ok!(module.write(store, info.name, file, written)), stream: info.name}
+
+  defp table(on, module, {store, _info, chosen}, file, opts, written) do
+    # Without a choice it is every stream that can be in a table.
+    all? = (opts[:stream] || []) == [] and (opts[:exclude] || []) == []
+    joining = [on: on, streams: unless(all?, do: Enum.map(chosen, & &1.name))]
+    joining = [take: if(opts[:latest], do: :latest, else: :nearest)] ++ joining
+    joining = Keyword.take(opts, [:within]) ++ joining
+    %{messages: ok!(module.join(store, file, joining ++ written)), stream: on}
+  end
+
+  defp stream!(store, name), do: Error.unwrap!(Store.stream_info(store, name))
+
+  defp alone!(opts) do
+    if opts[:on], do: throw({:usage, "--on makes one table: of Parquet or Arrow"})
   end
 
   # An MCAP file made of another keeps what that carried, and gets what is given.

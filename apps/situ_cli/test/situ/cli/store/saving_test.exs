@@ -46,10 +46,25 @@ defmodule Situ.CLI.Store.SavingTest do
           {[path, Path.join(root, "x.csv")], 1, "A, Pids"},
           {[path, Path.join(root, "x.doc"), "-s", "A"], 2, "format"},
           {[path, Path.join(root, "no/x.csv"), "-s", "A"], 1, "cannot write"},
-          {[path, Path.join(root, "x.csv"), "-s", "B"], 1, "no stream"}
+          {[path, Path.join(root, "x.csv"), "-s", "B"], 1, "no stream"},
+          {[path, Path.join(root, "x.csv"), "--on", "A"], 2, "Parquet or Arrow"},
+          {[path, Path.join(root, "x.parquet"), "--on", "B"], 1, "no stream"}
         ] do
       assert capture_io(:stderr, fn -> assert Situ.CLI.run(["store", "save" | argv]) == status end) =~
                said
+    end
+  end
+
+  test "streams joined on time are one table", %{tmp_dir: root} do
+    for {more, row} <- [
+          {[], %{"Room.A" => 1, "Room.B" => 101}},
+          {["-x", "Room.B"], %{"Room.A" => 1}},
+          {["--latest", "--within", "1ms"], %{"Room.A" => 1, "Room.B" => 101}}
+        ] do
+      file = Path.join(root, "j.arrow")
+      argv = ["store", "save", both(root), file, "--on", "Room.A" | more]
+      assert capture_io(fn -> assert Situ.CLI.run(argv) == 0 end) == ""
+      assert [{_, ^row} | _] = Enum.to_list(Bridge.Arrow.messages(file))
     end
   end
 

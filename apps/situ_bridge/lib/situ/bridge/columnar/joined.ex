@@ -1,0 +1,92 @@
+defmodule Situ.Bridge.Columnar.Joined do
+  @moduledoc false
+  # Several streams of a recording as rows of one table: a row for each message of one of them, with the others' values
+  # that are nearest to it in time, or in force at it.
+  alias Situ.{Message, Store}
+
+  @rows 10_000
+
+  @options [
+    on: [type: :string, required: true, doc: "The stream whose messages are the rows."],
+    streams: [
+      type: {:optional, {:list, :string}},
+      default: nil,
+      doc: "The streams wanted; all by default that can be in a table."
+    ],
+    take: [
+      type: {:in, [:nearest, :latest]},
+      default: :nearest,
+      doc: "The value nearest in time, or the last one up to then."
+    ],
+    within: [
+      type: {:optional, :pos_integer},
+      default: nil,
+      doc: "A value that is further away (ns) is missing."
+    ]
+  ]
+
+  @doc "The options of a join."
+  @spec options() :: keyword()
+  def options, do: @options
+
+  @doc """
+  Messages whose data are maps of the streams' values by their names, in lists; enumerating reads the recording.
+  `names` are the streams besides the first; `reading` are options of `Situ.Store.messages/3`.
+  """
+  @spec parts(Store.t(), String.t(), [String.t()], keyword(), keyword()) :: Enumerable.t()
+  def parts(store, on, names, opts, reading) do
+    store
+    |> Store.messages(on, reading)
+    |> Stream.chunk_every(@rows)
+    |> Stream.map(fn rows ->
+      times = Enum.map(rows, & &1.originating_time)
+      picked = for name <- names, do: picked(store, name, times, opts, reading)
+
+      rows
+      |> Enum.zip(zipped(picked, length(rows)))
+      |> Enum.map(fn {message, values} ->
+        others = names |> Enum.zip(values) |> Map.new()
+        %{message | data: Map.put(others, on, message.data)}
+      end)
+    end)
+  end
+
+  defp zipped([], n), do: List.duplicate([], n)
+  defp zipped(picked, _n), do: Enum.zip_with(picked, & &1)
+
+  # The messages of the other stream are passed over once; only those that are picked are kept.
+  defp picked(store, name, [first | _] = times, opts, reading) do
+    last = List.last(times)
+    between = Keyword.merge(Keyword.take(reading, [:skip_damage]), from: first, to: last)
+    before = found(Store.latest_at(store, name, first - 1))
+
+    {done, left, held} =
+      store
+      |> Store.messages(name, between)
+      |> Enum.reduce({[], times, before}, fn message, {done, left, held} ->
+        {now, left} = Enum.split_while(left, &(&1 < message.originating_time))
+        {Enum.reduce(now, done, &[pick(held, message, &1, opts) | &2]), left, message}
+      end)
+
+    behind = if left != [], do: found(Store.first_at(store, name, last + 1))
+    done = Enum.reduce(left, done, &[pick(held, behind, &1, opts) | &2])
+    Enum.reverse(done)
+  end
+
+  defp found({:ok, %Message{} = message}), do: message
+  defp found(_), do: nil
+
+  defp pick(held, next, time, opts) do
+    one = if opts[:take] == :latest, do: held, else: nearest(held, next, time)
+    if one && close?(one, time, opts[:within]), do: one.data
+  end
+
+  defp nearest(nil, next, _time), do: next
+  defp nearest(held, nil, _time), do: held
+
+  defp nearest(held, next, time),
+    do: if(next.originating_time - time < time - held.originating_time, do: next, else: held)
+
+  defp close?(_one, _time, nil), do: true
+  defp close?(one, time, within), do: abs(one.originating_time - time) <= within
+end
