@@ -150,10 +150,23 @@ defmodule SpaceFixture do
       {"E.Body", %Skeleton{joints: %{a: Pose.identity()}, bones: [{:a, :b}]}},
       {"F.Nowhere", %Point3{x: :nan, y: 0.0, z: 0.0}},
       {"G.View", CameraView.new(depth, camera, Pose.identity())},
-      {"H.Good", whole}
+      {"H.Good", whole},
+      {"J.Line", Situ.Line3.new({0.0, 3.0, 0.0}, {1.0, 3.0, 0.0})},
+      {"K.Value",
+       %PointCloud{
+         points:
+           for(
+             x <- 0..40,
+             into: <<>>,
+             do: <<x / 40::little-float-32, 6.0::little-float-32, 0::32>>
+           ),
+         values: for(x <- 0..40, into: <<>>, do: <<x * 1.0::little-float-32>>)
+       }}
     ]
 
     for {stream, data} <- things, s <- 0..1, do: put(h, stream, s, data)
+    put(h, "I.Nobody", 0, [])
+    put(h, "I.Nobody", 1, [Point3.new(0, 9, 0)])
     h
   end
 

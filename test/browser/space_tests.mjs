@@ -252,6 +252,12 @@ test("11 space: what is broken says so, and the rest is drawn", async ({ page, s
       `${stream}: ${words}: ${text}`,
     );
   alike(await colorAt(page, id, [0.2, 0.2, 0]), await colorOf(page, "H.Good"), "the good mesh is drawn", 0.95);
+  const nobody = JSON.parse(text).find((l) => l[0] === "I.Nobody");
+  equal(nobody, ["I.Nobody", null, null, []], "a list of nobody is no fault");
+  const close = { span: 0, from: [-0.01, 0, 0.6] };
+  alike(await colorAt(page, id, [0.5, 3, 0], close), await colorOf(page, "J.Line"), "a line", 0.9);
+  const [low, high] = [await colorAt(page, id, [0, 6, 0], close), await colorAt(page, id, [1, 6, 0], close)];
+  ok(low[2] > low[0] && high[0] > high[2], `points by their values, low is cold and high is warm: ${low} ${high}`);
   await shot("space-broken");
 });
 

@@ -11,5 +11,6 @@ pub mod grid;
 pub mod las;
 pub mod normals;
 pub mod plane;
+pub mod records;
 pub mod register;
 pub mod room;

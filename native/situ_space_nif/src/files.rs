@@ -1,7 +1,9 @@
 //! Glue of the points of files.
 
+use rustler::NifTaggedEnum;
 use rustler::{Binary, Encoder, Env, Term};
 use situ_space::las::{self, Records};
+use situ_space::records::{self, Field, Kind};
 
 use crate::{binary, reply, row, Row};
 
@@ -45,4 +47,50 @@ fn las_points<'a>(
             Ok((binary(env, &p)?, binary(env, &c)?, binary(env, &s)?).encode(env))
         }),
     )
+}
+
+/// `{:float, bytes}`, `{:int, bytes}` or `{:uint, bytes}`.
+#[derive(NifTaggedEnum)]
+enum KindTerm {
+    Float(u32),
+    Int(u32),
+    Uint(u32),
+}
+
+fn fields(given: Vec<(u32, KindTerm)>) -> Vec<Field> {
+    given
+        .into_iter()
+        .map(|(at, kind)| {
+            let kind = match kind {
+                KindTerm::Float(n) => Kind::Float(n as usize),
+                KindTerm::Int(n) => Kind::Signed(n as usize),
+                KindTerm::Uint(n) => Kind::Unsigned(n as usize),
+            };
+            (at as usize, kind)
+        })
+        .collect()
+}
+
+#[rustler::nif(schedule = "DirtyCpu")]
+fn record_floats<'a>(
+    env: Env<'a>,
+    records: Binary<'a>,
+    row: u32,
+    given: Vec<(u32, KindTerm)>,
+    big: bool,
+) -> Term<'a> {
+    let found = records::floats(records.as_slice(), row as usize, &fields(given), big);
+    reply(env, found.and_then(|f| Ok(binary(env, &f)?.encode(env))))
+}
+
+#[rustler::nif(schedule = "DirtyCpu")]
+fn record_tones<'a>(
+    env: Env<'a>,
+    records: Binary<'a>,
+    row: u32,
+    given: Vec<(u32, KindTerm)>,
+    big: bool,
+) -> Term<'a> {
+    let found = records::tones(records.as_slice(), row as usize, &fields(given), big);
+    reply(env, found.and_then(|t| Ok(binary(env, &t)?.encode(env))))
 }

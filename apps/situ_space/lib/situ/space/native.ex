@@ -19,6 +19,8 @@ defmodule Situ.Space.Native do
   def las_points(_records, _size, _colors, _scale, _offset),
     do: :erlang.nif_error(:not_loaded)
 
+  def record_floats(_records, _row, _fields, _big), do: :erlang.nif_error(:not_loaded)
+  def record_tones(_records, _row, _fields, _big), do: :erlang.nif_error(:not_loaded)
   def downsample(_points, _size), do: :erlang.nif_error(:not_loaded)
   def thin(_records, _size, _most), do: :erlang.nif_error(:not_loaded)
   def within(_points, _colors, _values, _planes, _most), do: :erlang.nif_error(:not_loaded)

@@ -17,7 +17,7 @@ import { Tree } from "./frames.js";
 import { Viewpoint } from "./viewpoint.js";
 import { Pointer } from "./pointer.js";
 import { drawMeasure, drawScales, drawTexts, project } from "./overlay.js";
-import { number } from "../page/number_text.js";
+import { counted, describe, thinned } from "./words.js";
 
 // Of a cloud that is drawn in part: the points of what is seen, in a layer of their own.
 const near = (key) => `${key} near`;
@@ -179,7 +179,7 @@ class Stage {
 
   // A tool of the bar; answers which are switched on.
   use(name) {
-    if (name === "fit") this.view.fit(this.places(), this.ahead());
+    if (name === "fit") this.fit();
     else if (name === "top") this.view.top();
     else if (this.on.has(name)) this.on.delete(name);
     else this.on.add(name);
@@ -196,7 +196,17 @@ class Stage {
     const filled = [...this.layers].filter(([, l]) => l.parts.length && !l.near).map(([key]) => key);
     const known = this.looked ?? new Set();
     if (filled.every((key) => known.has(key)) || (this.looked && this.view.moved)) return;
-    if (this.view.fit(this.places(), this.ahead())) this.looked = new Set(filled);
+    if (this.fit()) this.looked = new Set(filled);
+  }
+
+  // Everything in view; the grid's cells and the axes are 1 m in a room, and tens and hundreds of metres in a valley.
+  fit() {
+    const seen = this.view.fit(this.places(), this.ahead());
+    if (seen) {
+      const metres = 10 ** Math.max(0, Math.ceil(Math.log10(this.view.around.distance / 50)));
+      for (const o of [this.grid, this.axes]) o.scale.setScalar(metres);
+    }
+    return seen;
   }
 
   // Where the first camera of the scene looks.
@@ -279,21 +289,4 @@ class Stage {
     }
     this.view.close();
   }
-}
-
-const thinned = (part) => part.item.kind === "points" && (part.item.of ?? 0) > part.item.count;
-
-// How many points are drawn, and how many there are.
-function counted(parts) {
-  const clouds = parts.filter((p) => p.item.kind === "points" && p.item.name !== "was here");
-  const shown = clouds.reduce((n, p) => n + p.item.count, 0);
-  return [shown, clouds.reduce((n, p) => n + Math.max(p.item.of ?? 0, p.item.count), 0)];
-}
-
-// The object under the mouse in words: its stream, its name, the place in the stream's own frame.
-function describe({ layer, part, index, object, point }) {
-  const own = point.clone().applyMatrix4(new Matrix4().copy(layer.group.matrix).invert());
-  const place = [own.x, own.y, own.z].map((v) => number(v, 3)).join(", ");
-  const value = part.item.value && part.item.kind === "points" ? [`value ${number(part.item.value[index], 4)}`] : [];
-  return [layer.name, `${part.name(index, object)}`, `(${place}) m`, ...value];
 }

@@ -4,6 +4,7 @@ defmodule Situ.Space.Scan.Pcd do
   # compressed by LZF, field by field. Source: pointclouds.org, "The PCD (Point Cloud Data) file format", version 0.7.
   import Situ.Bits, only: [known: 1]
   alias Situ.{Error, PointCloud}
+  alias Situ.Space.Kernel
   alias Situ.Space.Scan.Text
 
   @most_points 50_000_000
@@ -159,6 +160,30 @@ defmodule Situ.Space.Scan.Pcd do
     unpack(rest, size, out <> binary_part(whole, 0, length))
   end
 
+  # Points as they stand in memory are read by the kernel: there may be millions of them.
+  defp cloud(fields, {:rows, bytes, row, _count}) when row > 0 do
+    numbers = fn names ->
+      for name <- names,
+          {_, type, size, _, at} <- [List.keyfind(fields, name, 0)],
+          kind = %{"F" => :float, "I" => :int, "U" => :uint}[type],
+          kind != nil and not (kind == :float and size < 4),
+          do: {at, {kind, size}}
+    end
+
+    tone = List.keyfind(fields, "rgb", 0) || List.keyfind(fields, "rgba", 0)
+    shone = numbers.(["intensity"])
+    floats = &Kernel.call(:record_floats, [bytes, row, &1, false])
+
+    with [_, _, _] = places <- numbers.(["x", "y", "z"]),
+         {:ok, points} <- floats.(places),
+         {:ok, values} <- if(shone == [], do: {:ok, nil}, else: floats.(shone)) do
+      PointCloud.new(points, tone && packed_colors(bytes, row, tone), values)
+    else
+      {:error, _} = error -> error
+      _ -> bad("its x, y and z are of no type that is known")
+    end
+  end
+
   defp cloud(fields, columns) do
     [x, y, z] =
       for name <- ["x", "y", "z"], do: values(List.keyfind(fields, name, 0), columns, fields)
@@ -173,8 +198,12 @@ defmodule Situ.Space.Scan.Pcd do
     PointCloud.new(IO.iodata_to_binary(points), colors, values)
   end
 
-  defp values({_, type, size, _, at}, {:rows, bytes, row, count}, _fields) do
-    for i <- 0..(count - 1)//1, do: value(type, size, binary_part(bytes, i * row + at, size))
+  defp packed_colors(bytes, row, {_, _, size, _, at}) do
+    blue = for k <- [2, 1, 0], do: {at + k, {:uint, 1}}
+
+    if size == 4,
+      do: Error.unwrap!(Kernel.call(:record_tones, [bytes, row, blue, false])),
+      else: :binary.copy(<<0, 0, 0>>, div(byte_size(bytes), row))
   end
 
   # Compressed points stand field by field.

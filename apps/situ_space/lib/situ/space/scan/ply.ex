@@ -1,9 +1,10 @@
 defmodule Situ.Space.Scan.Ply do
   @moduledoc false
-  # PLY, as text or little-endian bytes: vertices with x, y, z and perhaps red, green, blue; faces as lists of vertices.
+  # PLY, as text or bytes: vertices with x, y, z and perhaps red, green, blue, intensity; faces as lists of vertices.
   # Source: G. Turk, The PLY Polygon File Format, 1994.
   import Situ.Bits, only: [known: 1]
   alias Situ.{Error, Mesh, PointCloud}
+  alias Situ.Space.Kernel
   alias Situ.Space.Scan.Text
 
   @types %{
@@ -113,7 +114,27 @@ defmodule Situ.Space.Scan.Ply do
     :no_number -> {:error, "one of its lines holds no numbers"}
   end
 
-  defp body(order, elements, bytes) do
+  # Records of one size are read by the kernel: there may be millions of them.
+  defp body(order, [{"vertex", count, [_ | _] = properties} | elements], bytes) do
+    if Enum.any?(properties, &match?({_, {:list, _, _}}, &1)) do
+      each(order, [{"vertex", count, properties} | elements], bytes)
+    else
+      size = properties |> Enum.map(fn {_, {_, size}} -> size end) |> Enum.sum()
+
+      case bytes do
+        <<own::binary-known(count * size), rest::binary>> ->
+          with {:ok, rows} <- each(order, elements, rest),
+               do: {:ok, Map.put(rows, "vertex", {:packed, own, size, order == :big})}
+
+        _ ->
+          {:error, "it is cut short"}
+      end
+    end
+  end
+
+  defp body(order, elements, bytes), do: each(order, elements, bytes)
+
+  defp each(order, elements, bytes) do
     elements
     |> Enum.reduce({:ok, %{}, bytes}, fn {name, count, properties}, {:ok, rows, bytes} ->
       # every row has a byte at least: what is announced is bounded by what is there
@@ -202,31 +223,52 @@ defmodule Situ.Space.Scan.Ply do
 
     vertices = rows["vertex"] || []
 
+    columns = &fields(properties, &1)
+
     cond do
       nil in places ->
         bad("its vertices have no x, y and z")
 
       faces = faces(rows, elements) ->
-        mesh(points(vertices, places), faces, length(vertices))
+        points = points(vertices, columns.(places))
+        mesh(points, faces, div(byte_size(points), 12))
 
       true ->
         PointCloud.new(
-          points(vertices, places),
-          if(nil not in tones, do: colors(vertices, tones)),
-          value && points(vertices, [value])
+          points(vertices, columns.(places)),
+          if(nil not in tones, do: colors(vertices, columns.(tones))),
+          value && points(vertices, columns.([value]))
         )
     end
   end
 
-  defp points(vertices, places) do
-    for row <- vertices, place <- places, into: <<>>, do: float(Enum.at(row, place))
+  # Which of a vertex's properties, at which of its bytes, of which type.
+  defp fields(properties, places) do
+    for place <- places do
+      before = for {_, {_, size}} <- Enum.take(properties, place), is_integer(size), do: size
+      {place, Enum.sum(before), properties |> Enum.at(place) |> elem(1)}
+    end
+  end
+
+  defp points({:packed, bytes, row, big?}, fields) do
+    fields = for {_, at, type} <- fields, do: {at, type}
+    Error.unwrap!(Kernel.call(:record_floats, [bytes, row, fields, big?]))
+  end
+
+  defp points(vertices, fields) do
+    for row <- vertices, {place, _, _} <- fields, into: <<>>, do: float(Enum.at(row, place))
   end
 
   defp float(x) when is_number(x) and abs(x) < 3.4e38, do: <<x::little-float-32>>
   defp float(_), do: <<0, 0, 0xC0, 0x7F>>
 
-  defp colors(vertices, tones) do
-    for row <- vertices, tone <- tones, into: <<>>, do: <<tone(Enum.at(row, tone))>>
+  defp colors({:packed, bytes, row, big?}, fields) do
+    fields = for {_, at, type} <- fields, do: {at, type}
+    Error.unwrap!(Kernel.call(:record_tones, [bytes, row, fields, big?]))
+  end
+
+  defp colors(vertices, fields) do
+    for row <- vertices, {place, _, _} <- fields, into: <<>>, do: <<tone(Enum.at(row, place))>>
   end
 
   defp tone(x) when is_integer(x), do: x |> max(0) |> min(255)

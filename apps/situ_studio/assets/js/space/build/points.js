@@ -1,12 +1,12 @@
 // Points: a million are one draw, coloured on the graphics card.
 
-import { BufferAttribute, BufferGeometry, Color, Points, ShaderMaterial } from "three";
+import { BufferAttribute, BufferGeometry, Color, Points, ShaderMaterial, Vector4 } from "three";
 import { MODES, modeOf, ramp, spanOf } from "../colors.js";
 
 const VERTEX = `
   attribute vec3 tone;
   attribute float value;
-  uniform float size, low, high;
+  uniform float size, metres, height, low, high;
   uniform int mode;
   uniform vec3 tint;
   uniform sampler2D ramp;
@@ -19,7 +19,9 @@ const VERTEX = `
     else if (mode == 1) shade = tint;
     else shade = texture2D(ramp, vec2(clamp((v - low) / (high - low), 0.002, 0.998), 0.5)).rgb;
     gl_Position = projectionMatrix * viewMatrix * place;
-    gl_PointSize = size;
+    // so wide in the world, and as wide on the screen as it is near
+    float near = metres * projectionMatrix[1][1] * height / 2.0 / max(gl_Position.w, 1e-6);
+    gl_PointSize = max(size, near);
   }`;
 
 const FRAGMENT = `
@@ -33,6 +35,7 @@ const FRAGMENT = `
   }`;
 
 let colors = null;
+const SEEN = new Vector4();
 
 export function points(item, props, pixels) {
   const geometry = new BufferGeometry();
@@ -49,17 +52,23 @@ export function points(item, props, pixels) {
     transparent: opacity < 1,
     uniforms: {
       size: { value: size },
+      metres: { value: (props.point_mm ?? 0) / 1000 },
+      height: { value: 1 },
       low: { value: span[0] },
       high: { value: span[1] },
       mode: { value: item.color || mode !== "own" ? MODES[mode] : MODES.one },
       tint: { value: new Color(props.color) },
       ramp: { value: (colors ??= ramp()) },
       opacity: { value: opacity },
-      round_from: { value: size >= 4 ? 1 : 0 },
+      round_from: { value: size >= 4 || props.point_mm > 0 ? 1 : 0 },
     },
   });
   const object = new Points(geometry, material);
   object.frustumCulled = false;
+  object.onBeforeRender = (renderer) => {
+    material.uniforms.height.value = renderer.getCurrentViewport(SEEN).w;
+    material.uniformsNeedUpdate = true;
+  };
   const scale = mode === "own" || mode === "one" ? null : { span, mode };
   return { object, scale, name: () => item.name ?? "point" };
 }

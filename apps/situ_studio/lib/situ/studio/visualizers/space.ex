@@ -55,6 +55,7 @@ defmodule Situ.Studio.Visualizers.Space do
           high: [type: {:range, -1.0e6, 1.0e6}, title: "to", default: 3, only: fixed],
           scale: [type: :boolean, title: "Colour scale", default: true],
           point_size: [type: {:range, 0.5, 40}, title: "Point size, px", default: 2],
+          point_mm: [type: {:range, 0, 10_000}, title: "and at least, mm", default: 0],
           thickness: [type: {:range, 1, 500}, title: "Thickness, mm", default: 15],
           opacity: [type: {:range, 0, 100}, title: "Opacity, %", default: 100],
           plane: [type: {:range, 0.05, 100}, title: "Picture plane at, m", default: 1],

@@ -92,6 +92,18 @@ defmodule Situ.Studio.Scene.TermsTest do
     assert {[%{meta: %{"text" => "wall"}}], []} = Terms.of({"wall", rectangle}, %{text: 0.5})
   end
 
+  test "a cloud's values go with it, also when it is thinned" do
+    points = PointCloud.from_points(for x <- 1..4, do: {x * 1.0, 0.0, 0.0}).points
+
+    {:ok, cloud} =
+      PointCloud.new(points, nil, for(x <- 1..4, into: <<>>, do: <<x * 10.0::little-float-32>>))
+
+    {[%{numbers: numbers}], []} = Terms.of(cloud, %{budget: 2})
+    assert numbers[:value] == <<10.0::little-float-32, 30.0::little-float-32>>
+    assert {[], ["a point cloud whose values" <> _]} = Terms.of(%{cloud | values: 3})
+    assert {[_], []} = cloud |> Map.delete(:values) |> Terms.of()
+  end
+
   test "a mesh with a pose beside it lies there" do
     {[%{meta: %{"matrix" => matrix}}], []} = Terms.of({mesh(), @pose})
     assert Enum.slice(matrix, 12, 3) == [1.0, 2.0, 3.0]
