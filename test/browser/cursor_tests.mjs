@@ -22,6 +22,27 @@ test("5 cursor: follows the mouse and drives every panel; held when told", async
   near((await state(page)).cursor, 42.5 * S, 0.1 * S, "held cursor");
 });
 
+test("5 cursor: its line stays at its time when the panels become wider", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  const lanes = await panelOf(page, "Vad.Speaking");
+  await page.keyboard.press("Alt+f");
+  await dispatch(page, { type: "cursor", t: 45 * S });
+  const gap = (i) => {
+    const el = document.getElementById(i);
+    const line = el.querySelector(".cursor-line").getBoundingClientRect();
+    const box = el.querySelector(".overlay").getBoundingClientRect();
+    const { view, cursor } = window.situStudio.time.get();
+    const x = box.left + ((cursor - view[0]) / (view[1] - view[0])) * box.width;
+    return [Math.abs(line.left - x), el.clientWidth];
+  };
+  const [, before] = await page.evaluate(gap, lanes);
+  await page.click("button.tool[title^='Show or hide the properties']");
+  await until(page, ([i, w]) => document.getElementById(i).clientWidth > w + 50, "wider", [lanes, before]);
+  await page.waitForTimeout(300);
+  const [off] = await page.evaluate(gap, lanes);
+  ok(off < 3, `the line is ${off} pixels from the cursor's time`);
+});
+
 test("5 cursor: snaps to the messages of a stream, and steps along them", async ({ page }) => {
   await open(page, main, "minute.0000");
   await page.click("#tree .node[data-stream='Camera.Image'] .name");

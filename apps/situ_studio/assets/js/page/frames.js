@@ -41,6 +41,8 @@ export class Frames {
       for (const v of views) {
         if (!this.views.has(v)) continue;
         v.render();
+        // a panel that has become wider or narrower has its lines elsewhere
+        this.overlays.get(v)?.update(this.time.get());
         describe(v, () => this.time.get());
       }
       this.drawn.count++;
