@@ -6,7 +6,9 @@ defmodule Situ.Infer.Speech.Espeak do
     ssml: [
       type: :boolean,
       default: false,
-      doc: "The text is SSML: `<break>`, `<emphasis>`, `<prosody>`, `<say-as>`, `<voice>` ..."
+      doc:
+        "The text is SSML: `<break>`, `<emphasis>`, `<mark>`, `<prosody>`, `<say-as>`, `<voice>` ...; tags that are " <>
+          "not known or not closed are left out, and so is `<audio>`, which would play any file of this machine."
     ]
   ]
 
@@ -79,8 +81,8 @@ defmodule Situ.Infer.Speech.Espeak do
   @impl true
   @spec speak(t(), String.t()) :: AudioBuffer.result()
   def speak(%__MODULE__{} = voice, text) do
-    case check(text) do
-      :ok -> run(voice, text)
+    case check(voice, text) do
+      {:ok, text} -> run(voice, text)
       :nothing -> silence()
       error -> error
     end
@@ -89,10 +91,28 @@ defmodule Situ.Infer.Speech.Espeak do
   @impl true
   @spec speak_marked(t(), String.t()) :: {:ok, AudioBuffer.t(), [Mark.t()]} | {:error, Error.t()}
   def speak_marked(%__MODULE__{} = voice, text) do
-    case check(text) do
-      :ok -> mark(voice, text)
+    case check(voice, text) do
+      {:ok, text} -> mark(voice, text)
       :nothing -> with {:ok, sound} <- silence(), do: {:ok, sound, []}
       error -> error
+    end
+  end
+
+  # The text that is given to espeak-ng.
+  defp check(voice, text) do
+    text = if "-m" in voice.arguments, do: harmless(text), else: text
+    with :ok <- check(text), do: {:ok, text}
+  end
+
+  # Without a tag another may come together of what was around it.
+  defp harmless(text) do
+    if String.valid?(text) do
+      case String.replace(text, ~r{<\s*/?\s*audio\b[^>]*(>|\z)}i, "") do
+        ^text -> text
+        less -> harmless(less)
+      end
+    else
+      text
     end
   end
 

@@ -5,6 +5,30 @@ defmodule Situ.Infer.Speech.EspeakTest do
   alias Situ.AudioBuffer
   alias Situ.Infer.Speech.Espeak
 
+  @tag :tmp_dir
+  test "SSML plays no files of this machine, and broken markup is no error", %{tmp_dir: dir} do
+    file = Path.join(dir, "a.wav")
+    noise = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(22_050), 5 * 22_050)
+    :ok = Situ.Media.Wav.write(file, noise)
+    {:ok, voice} = Espeak.load(ssml: true)
+    {:ok, expected} = Espeak.speak(voice, "hello")
+
+    for text <- [
+          ~s(<audio src="#{file}"/>hello),
+          ~s(<audio src="#{file}">hello</audio>),
+          ~s(<au<audio x>dio src="#{file}"/>hello),
+          "</speak>hello",
+          ~s(<speak><prosody rate="160">hello)
+        ] do
+      assert {:ok, sound} = Espeak.speak(voice, text)
+
+      assert Situ.AudioBuffer.duration(sound) <
+               Situ.AudioBuffer.duration(expected) + 1_000_000_000
+
+      assert {:ok, _, [_ | _]} = Espeak.speak_marked(voice, text)
+    end
+  end
+
   test "speaks faster and higher when asked, and SSML with its pauses" do
     {:ok, slow} = Espeak.load(rate: 100)
     {:ok, fast} = Espeak.load(rate: 300)
