@@ -1,12 +1,17 @@
 //! Tensors as bytes: native byte order, row major.
 use crate::{Failure, Kind};
 use bytemuck::{try_cast_slice, AnyBitPattern, NoUninit};
+use half::{bf16, f16};
 use ort::session::SessionInputValue;
 use ort::value::{DynValue, Tensor as OrtTensor, TensorElementType, TensorRef};
 
 /// The element types that cross the border, with the names Elixir knows them by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ElementType {
+    /// IEEE 754 binary16.
+    F16,
+    /// The upper half of a binary32.
+    Bf16,
     /// IEEE 754 binary32.
     F32,
     /// IEEE 754 binary64.
@@ -31,7 +36,9 @@ pub enum ElementType {
     Bool,
 }
 
-const NAMES: [(ElementType, &str, TensorElementType, usize); 11] = [
+const NAMES: [(ElementType, &str, TensorElementType, usize); 13] = [
+    (ElementType::F16, "f16", TensorElementType::Float16, 2),
+    (ElementType::Bf16, "bf16", TensorElementType::Bfloat16, 2),
     (ElementType::F32, "f32", TensorElementType::Float32, 4),
     (ElementType::F64, "f64", TensorElementType::Float64, 8),
     (ElementType::S8, "s8", TensorElementType::Int8, 1),
@@ -107,6 +114,8 @@ impl<'a> TensorView<'a> {
     pub(crate) fn to_value(&self) -> Result<SessionInputValue<'a>, Failure> {
         self.check()?;
         match self.ty {
+            ElementType::F16 => view::<f16>(self),
+            ElementType::Bf16 => view::<bf16>(self),
             ElementType::F32 => view::<f32>(self),
             ElementType::F64 => view::<f64>(self),
             ElementType::S8 => view::<i8>(self),
@@ -184,6 +193,8 @@ pub(crate) fn from_value(name: &str, value: &DynValue) -> Result<Tensor, Failure
         )
     })?;
     let (shape, data) = match ty {
+        ElementType::F16 => bytes::<f16>(value),
+        ElementType::Bf16 => bytes::<bf16>(value),
         ElementType::F32 => bytes::<f32>(value),
         ElementType::F64 => bytes::<f64>(value),
         ElementType::S8 => bytes::<i8>(value),

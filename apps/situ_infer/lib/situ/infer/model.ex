@@ -100,6 +100,7 @@ defmodule Situ.Infer.Model do
          started = System.monotonic_time(:nanosecond),
          {:ok, loaded} <- with_path(opts[:engine].load(bytes, opts), path),
          model = build(path, opts, loaded),
+         :ok <- numbers(model, path),
          :ok <- check(model.inputs, opts[:inputs], "input", path),
          :ok <- check(model.outputs, opts[:outputs], "output", path),
          {:ok, model} <- warm_up(model, opts) do
@@ -135,7 +136,9 @@ defmodule Situ.Infer.Model do
   @spec run(t(), %{String.t() => Tensor.t()}) ::
           {:ok, %{String.t() => Tensor.t()}} | {:error, Error.t()}
   def run(%__MODULE__{} = model, inputs) when is_map(inputs) do
-    with :ok <- check_inputs(model, inputs), do: execute(model, inputs)
+    with :ok <- check_inputs(model, inputs),
+         :ok <- check_names(model, inputs),
+         do: execute(model, inputs)
   end
 
   @doc """
@@ -206,6 +209,23 @@ defmodule Situ.Infer.Model do
       where: if(opts[:schedule] == :inline, do: :inline, else: :dirty),
       counters: :counters.new(4, [])
     }
+  end
+
+  # Text, sequences and maps, as networks of classical learning have them.
+  defp numbers(model, path) do
+    case for {name, {:unsupported, _}} <- model.inputs, do: inspect(name) do
+      [] ->
+        :ok
+
+      names ->
+        {:error,
+         Error.new(
+           :bad_model,
+           "input #{Enum.join(names, ", ")} of the model takes no tensor of numbers (#{path})",
+           why: "text, sequences and maps are not supported",
+           fix: "export the model without them (skl2onnx: zipmap=False, numeric inputs)"
+         )}
+    end
   end
 
   defp check(has, wanted, what, path) do
@@ -321,6 +341,17 @@ defmodule Situ.Infer.Model do
            )}
       end
     end)
+  end
+
+  defp check_names(model, inputs) when map_size(inputs) == map_size(model.inputs), do: :ok
+
+  defp check_names(model, inputs) do
+    [name | _] = Map.keys(inputs) -- Map.keys(model.inputs)
+
+    {:error,
+     Error.new(:bad_tensor, "model #{model.name} has no input #{inspect(name)}",
+       fix: "its inputs are #{Enum.map_join(Map.keys(model.inputs), ", ", &inspect/1)}"
+     )}
   end
 
   # As many bytes as its shape says; `nil` when there is nothing to say.

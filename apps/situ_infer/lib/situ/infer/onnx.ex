@@ -33,6 +33,8 @@ defmodule Situ.Infer.Onnx do
     s64: 7,
     bool: 9,
     f16: 10,
+    bf16: 16,
+    text: 8,
     f64: 11,
     u32: 12,
     u64: 13

@@ -43,6 +43,60 @@ defmodule Situ.Infer.ModelTest do
     assert Model.stats(model).runs == runs + 1
   end
 
+  test "numbers of every type go in and come out, halves too" do
+    types = [:f16, :bf16, :f32, :f64, :s8, :u8, :s16, :u16, :s32, :u32, :s64, :u64]
+
+    for type <- types do
+      port = &{&1, type, {nil, 2}}
+
+      bytes =
+        Onnx.encode(
+          inputs: [port.("x")],
+          outputs: [port.("y")],
+          nodes: [{"Identity", ["x"], ["y"], []}]
+        )
+
+      assert {:ok, model} = Model.from_bytes(bytes, "same")
+      x = Tensor.from_list([1, 2, 3, 4], type, {2, 2})
+      assert {:ok, %{"y" => ^x}} = Model.run(model, %{"x" => x})
+    end
+
+    half = &{&1, :f16, {2}}
+
+    sum =
+      Onnx.encode(
+        inputs: [half.("x")],
+        outputs: [half.("y")],
+        nodes: [{"Add", ["x", "x"], ["y"], []}]
+      )
+
+    assert {:ok, model} = Model.from_bytes(sum, "sum")
+    # Not where halves lie in memory.
+    <<_, data::binary>> = <<0, Tensor.from_list([0.5, -1.5], :f16, {2}).data::binary>>
+    assert {:ok, %{"y" => y}} = Model.run(model, %{"x" => Tensor.new(data, :f16, {2})})
+    assert Tensor.to_list(y) == [1.0, -3.0]
+  end
+
+  test "inputs of another name are named, and models without tensors refused" do
+    {:ok, model} = Model.from_bytes(doubling(1), "double")
+    x = Tensor.from_list([1.0], :f32, {1, 1})
+    assert {:error, %{code: :bad_tensor, what: what}} = Model.run(model, %{"x" => x, "z" => x})
+    assert what =~ ~s("z")
+
+    # 8 is ONNX's number of text.
+    port = &{&1, :text, {nil}}
+
+    text =
+      Onnx.encode(
+        inputs: [port.("x")],
+        outputs: [port.("y")],
+        nodes: [{"Identity", ["x"], ["y"], []}]
+      )
+
+    assert {:error, %{code: :bad_model, what: what}} = Model.from_bytes(text, "words")
+    assert what =~ ~s(input "x")
+  end
+
   test "gives the face detector's reference results" do
     {:ok, model} = Model.load(Model.path("face_detection_short_range.onnx"))
     input = pixels("face_input.u8", 1 / 127.5, -1.0, {1, 128, 128, 3})

@@ -14,7 +14,7 @@ defmodule Situ.Infer.Engine.Ort do
   alias Situ.Infer.Native
 
   @types Map.new(
-           [:f32, :f64, :s8, :s16, :s32, :s64, :u8, :u16, :u32, :u64, :bool],
+           [:f16, :bf16, :f32, :f64, :s8, :s16, :s32, :s64, :u8, :u16, :u32, :u64, :bool],
            &{Atom.to_string(&1), &1}
          )
 
