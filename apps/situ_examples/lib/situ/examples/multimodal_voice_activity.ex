@@ -64,7 +64,8 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
   defp transcript(sound, hear, who) do
     speaking = if who, do: Situ.Infer.turns(hear, who), else: hear.speaking
     inputs = [sound: sound, speaking: speaking]
-    Situ.via(inputs, SpeechRecognizer, partial: nil, name: "SpeechRecognizer").out
+    opts = [partial: nil, turns: who != nil, name: "SpeechRecognizer"]
+    Situ.via(inputs, SpeechRecognizer, opts).out
   end
 
   defp words(mouths, speaking, said) do

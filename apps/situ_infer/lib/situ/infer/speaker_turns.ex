@@ -22,7 +22,8 @@ defmodule Situ.Infer.SpeakerTurns do
 
       hear = Situ.via(sound, Situ.Infer.VoiceActivity)
       who = Situ.Infer.who_speaks(mouths, hear.voice)
-      said = Situ.via([sound: sound, speaking: Situ.Infer.turns(hear, who)], Situ.Infer.SpeechRecognizer)
+      inputs = [sound: sound, speaking: Situ.Infer.turns(hear, who)]
+      said = Situ.via(inputs, Situ.Infer.SpeechRecognizer, turns: true)
 
   A change is known after it: values are held back for 2.2 s. The output depends on the messages alone.
 

@@ -37,6 +37,13 @@ defmodule Situ.Infer.SpeechRecognizer do
         "Recognises already after so short a pause, ns, and has the result at hand when the pause turns out to be " <>
           "the end. For sound in real time: the answer is the same, and comes sooner for more work."
     ],
+    turns: [
+      type: :boolean,
+      default: false,
+      doc:
+        "`speaking` comes from `Situ.Infer.turns/3`, which interrupts it for a moment where somebody else goes on: " <>
+          "the margin ends there, and the value after a pause is waited for."
+    ],
     longest: [
       type: :time_ns,
       default: 20_000_000_000,
@@ -165,10 +172,11 @@ defmodule Situ.Infer.SpeechRecognizer do
 
   defp ready?(_state, :closed), do: false
   defp ready?(%{heard_to: nil}, _next), do: false
-  # The margin behind speech ends where the next speech begins, so that has to be known, too.
+
+  # With turns the margin behind speech ends where the next speech begins, so that has to be known, too.
   defp ready?(%{open: open, opts: opts} = state, {time, speaking?}) do
     until = time + opts.margin
-    known? = speaking? or open == nil or state.asked_to >= until
+    known? = speaking? or open == nil or not opts.turns or state.asked_to >= until
     known? and state.heard_to >= until
   end
 
@@ -229,7 +237,9 @@ defmodule Situ.Infer.SpeechRecognizer do
   defp finished(%{open: open} = state, result),
     do: {said(:out, result, open, true), %{state | open: nil, said_to: open.to}}
 
-  # Where the next utterance begins, when that is known already: its words are not this one's.
+  # Where the next utterance begins, if that is near: its words are not this one's.
+  defp next_begins(%{opts: %{turns: false}}), do: :infinity
+
   defp next_begins(%{asked: asked}) do
     case Enum.find(:queue.to_list(asked), &match?({_, true}, &1)) do
       {time, true} -> time - @value

@@ -67,7 +67,8 @@ defmodule Situ.Infer.SpeechRecognizerTest do
   end
 
   test "margins end where the speech before or after begins: no sound is in two utterances" do
-    out = run(sound(2_000, 20), speaking(1_984, [{96, 640}, {672, 960}]), margin: 150 * @ms)
+    spoken = speaking(1_984, [{96, 640}, {672, 960}])
+    out = run(sound(2_000, 20), spoken, margin: 150 * @ms, turns: true)
     assert Enum.map(out, fn {_, u} -> u.text end) == ["0-671", "640-1109"]
 
     out =
