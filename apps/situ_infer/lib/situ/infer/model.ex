@@ -69,6 +69,7 @@ defmodule Situ.Infer.Model do
   """
 
   alias Situ.{Error, Tensor}
+  alias Situ.Infer.Model.Ports
 
   # Above this a run is long enough to hold other processes up: see the scheduler rules in the native guide.
   @inline_limit_ns 300_000
@@ -100,9 +101,9 @@ defmodule Situ.Infer.Model do
          started = System.monotonic_time(:nanosecond),
          {:ok, loaded} <- with_path(opts[:engine].load(bytes, opts), path),
          model = build(path, opts, loaded),
-         :ok <- numbers(model, path),
-         :ok <- check(model.inputs, opts[:inputs], "input", path),
-         :ok <- check(model.outputs, opts[:outputs], "output", path),
+         :ok <- Ports.numbers(model.inputs, path),
+         :ok <- Ports.check(model.inputs, opts[:inputs], "input", path),
+         :ok <- Ports.check(model.outputs, opts[:outputs], "output", path),
          {:ok, model} <- warm_up(model, opts) do
       duration = System.monotonic_time(:nanosecond) - started
       Situ.Telemetry.execute([:situ, :infer, :load], %{duration: duration}, %{model: model.name})
@@ -211,62 +212,6 @@ defmodule Situ.Infer.Model do
     }
   end
 
-  # Text, sequences and maps, as networks of classical learning have them.
-  defp numbers(model, path) do
-    case for {name, {:unsupported, _}} <- model.inputs, do: inspect(name) do
-      [] ->
-        :ok
-
-      names ->
-        {:error,
-         Error.new(
-           :bad_model,
-           "input #{Enum.join(names, ", ")} of the model takes no tensor of numbers (#{path})",
-           why: "text, sequences and maps are not supported",
-           fix: "export the model without them (skl2onnx: zipmap=False, numeric inputs)"
-         )}
-    end
-  end
-
-  defp check(has, wanted, what, path) do
-    Enum.find_value(wanted, :ok, fn {name, {type, shape}} ->
-      case has do
-        %{^name => {^type, have}} ->
-          if fits?(have, shape),
-            do: nil,
-            else: mismatch(what, name, {type, have}, {type, shape}, path)
-
-        %{^name => have} ->
-          mismatch(what, name, have, {type, shape}, path)
-
-        _ ->
-          {:error,
-           Error.new(:model_shape, "the model has no #{what} #{inspect(name)} (#{path})",
-             why: "its #{what}s are " <> Enum.map_join(has, ", ", &inspect(elem(&1, 0))),
-             fix: "use the model file this component is made for"
-           )}
-      end
-    end)
-  end
-
-  defp mismatch(what, name, have, wanted, path) do
-    {:error,
-     Error.new(
-       :model_shape,
-       "#{what} #{inspect(name)} is #{show(have)}, wanted #{show(wanted)} (#{path})",
-       fix: "use the model file this component is made for"
-     )}
-  end
-
-  defp show({type, shape}), do: "#{type} #{inspect(shape)}"
-
-  # A free dimension is -1 in the file and nil in what is asked for.
-  defp fits?(have, wanted) do
-    tuple_size(have) == tuple_size(wanted) and
-      Enum.zip(Tuple.to_list(have), Tuple.to_list(wanted))
-      |> Enum.all?(fn {h, w} -> h == -1 or w == nil or h == w end)
-  end
-
   defp warm_up(model, opts) do
     example =
       Map.new(model.inputs, fn {name, {type, shape}} ->
@@ -286,7 +231,7 @@ defmodule Situ.Infer.Model do
 
   defp not_run(%Error{code: :model_failed} = error, model, example) do
     given =
-      Enum.map_join(example, ", ", fn {name, t} -> "#{name}: #{show({t.type, t.shape})}" end)
+      Enum.map_join(example, ", ", fn {name, t} -> "#{name}: #{Ports.show({t.type, t.shape})}" end)
 
     Error.new(
       :model_failed,
@@ -326,7 +271,7 @@ defmodule Situ.Infer.Model do
     Enum.find_value(model.inputs, :ok, fn {name, {type, shape}} ->
       case inputs do
         %{^name => %Tensor{type: ^type, shape: given} = tensor} ->
-          if fits?(shape, given),
+          if Ports.fits?(shape, given),
             do: whole(model, name, tensor),
             else: bad_input(model, name, {type, shape}, {type, given})
 
@@ -373,7 +318,7 @@ defmodule Situ.Infer.Model do
     {:error,
      Error.new(
        :bad_tensor,
-       "model #{model.name}: input #{inspect(name)} takes #{show(wanted)}, got #{show(given)}",
+       "model #{model.name}: input #{inspect(name)} takes #{Ports.show(wanted)}, got #{Ports.show(given)}",
        fix: "-1 is any size: give a tensor of that type and shape, or use another model"
      )}
   end

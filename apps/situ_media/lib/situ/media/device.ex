@@ -105,7 +105,7 @@ defmodule Situ.Media.Device do
     do: {:error, Error.new(code, "#{address}: #{what}", meta: %{device: address})}
 
   @doc false
-  # What FFmpeg says of a device that does not open, in the words of somebody who wants to use one.
+  # The error of a device that does not open, in the words of somebody who wants to use one.
   @spec unopened(Error.t(), driver(), address(), kind()) :: Error.t()
   def unopened(%Error{fix: nil} = error, driver, address, kind) do
     if Code.ensure_loaded?(driver) and function_exported?(driver, :help, 1),
