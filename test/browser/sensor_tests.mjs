@@ -59,4 +59,11 @@ test("sensor: a pipeline that is not there is told", async ({ page, context }) =
     () => document.getElementById("status").textContent.includes("no pipeline has a sensor"),
     "it says so",
   );
+  for (const id of ["camera", "microphone"]) await page.selectOption("#" + id, "none");
+  await page.click("#start");
+  await until(
+    page,
+    () => document.getElementById("status").textContent.startsWith("Neither camera nor microphone"),
+    "without devices it says what to do",
+  );
 });

@@ -4,6 +4,7 @@ import { connect } from "./connection.js";
 import { Pictures } from "./pictures.js";
 import { Sound } from "./sound.js";
 import { Player } from "./player.js";
+import { NOTHING, trouble } from "./trouble.js";
 
 const $ = (id) => document.getElementById(id);
 const state = { sent: 0, dropped: 0, heard: 0, played: 0, offset: null, running: false };
@@ -34,6 +35,7 @@ async function start() {
   const video = wanted("camera", { width: { ideal: 640 }, height: { ideal: 480 } });
   // The assistant's own voice comes out of this page: the browser takes it out of what it hears.
   const audio = wanted("microphone", { echoCancellation: true });
+  if (!video && !audio) return say(NOTHING);
   const stream = await navigator.mediaDevices.getUserMedia({ video, audio });
   await list(); // names are told after the permission
   const stopTracks = () => stream.getTracks().forEach((track) => track.stop());
@@ -73,16 +75,12 @@ async function start() {
   say("Running.");
 }
 
-const why = (error) =>
-  error.name === "NotAllowedError"
-    ? "The browser was not allowed to use camera or microphone."
-    : `It did not start: ${error.message}`;
-
 if (!navigator.mediaDevices) {
   say("This browser gives no camera here: open the page over https, or on the machine itself.");
   $("start").disabled = true;
 } else {
   list();
-  $("start").onclick = () => start().catch((error) => stop(why(error)) ?? say(why(error)));
+  navigator.mediaDevices.addEventListener("devicechange", list);
+  $("start").onclick = () => start().catch((error) => stop(trouble(error)) ?? say(trouble(error)));
   $("stop").onclick = () => stop("Stopped.");
 }
