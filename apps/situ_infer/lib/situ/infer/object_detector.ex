@@ -67,9 +67,9 @@ defmodule Situ.Infer.ObjectDetector do
   alias Situ.{Error, Image, Rect}
   alias Situ.Infer.Detection.{Masks, Suppression, Yolo}
   alias Situ.Infer.{Labels, Model, Patch}
-  alias Situ.Infer.Vision.PictureInput
+  alias Situ.Infer.Vision.{Halves, PictureInput}
 
-  defstruct [:opts, :model, :input, :output, :labels, :masks]
+  defstruct [:opts, :model, :input, :output, :halves, :labels, :masks]
 
   @doc "A function that finds the objects of a picture and their masks, for programs without pipelines."
   @spec load(keyword()) ::
@@ -105,6 +105,7 @@ defmodule Situ.Infer.ObjectDetector do
          {:ok, output} <- Labels.output(model, opts.output),
          {:ok, masks} <- masks(model, opts.masks),
          :ok <- fits(model, output, opts.version, kinds(masks)),
+         {:ok, halves} <- Halves.new(model.outputs[output]),
          {:ok, input} <- PictureInput.new(model, picture, opts.side) do
       {:ok,
        %__MODULE__{
@@ -112,6 +113,7 @@ defmodule Situ.Infer.ObjectDetector do
          model: model,
          input: input,
          output: output,
+         halves: halves,
          labels: labels,
          masks: masks
        }}
@@ -122,8 +124,8 @@ defmodule Situ.Infer.ObjectDetector do
 
   defp masks(model, name) do
     with {:ok, name} <- Labels.output(model, name),
-         {_, shape} = model.outputs[name],
-         do: Masks.new(shape)
+         {type, shape} = model.outputs[name],
+         do: Masks.new(shape, type)
   end
 
   defp kinds(nil), do: 0
@@ -132,7 +134,7 @@ defmodule Situ.Infer.ObjectDetector do
   defp fits(model, output, version, kinds) do
     {type, shape} = model.outputs[output]
 
-    if type == :f32 and Yolo.fits?(version, shape, kinds) do
+    if type in [:f32, :f16] and Yolo.fits?(version, shape, kinds) do
       :ok
     else
       {:error,
@@ -149,9 +151,10 @@ defmodule Situ.Infer.ObjectDetector do
     %{opts: opts, input: input} = state
 
     with {:ok, tensor, patch} <- PictureInput.tensor(input, image),
-         {:ok, outputs} <- Model.run(state.model, %{input.name => tensor}) do
+         {:ok, outputs} <- Model.run(state.model, %{input.name => tensor}),
+         {:ok, found} <- Halves.floats(state.halves, outputs[state.output]) do
       boxes =
-        outputs[state.output]
+        found
         |> Yolo.parse(opts.version, opts.min_score / 1, kinds(state.masks))
         |> Suppression.suppress(opts.max_overlap, most: opts.most)
 

@@ -35,6 +35,33 @@ defmodule Situ.Infer.ObjectDetectorTest do
     f32(List.flatten(rows), {1, 4, 6})
   end
 
+  # As `Networks.finding/2`, in half precision.
+  defp half(side, {1, rows, n}) do
+    %Tensor{} = found = output(:v8)
+
+    Situ.Infer.Onnx.encode(
+      inputs: [{"picture", :f16, {1, 3, side, side}}],
+      outputs: [{"found", :f16, {1, rows, n}}],
+      constants: %{"is" => found, "no" => f32([0], {1})},
+      nodes: [
+        {"Cast", ["picture"], ["floats"], [to: 1]},
+        {"ReduceMean", ["floats"], ["mean"], [keepdims: 0]},
+        {"Mul", ["mean", "no"], ["nothing"], []},
+        {"Add", ["is", "nothing"], ["all"], []},
+        {"Cast", ["all"], ["found"], [to: 10]}
+      ]
+    )
+  end
+
+  @tag :tmp_dir
+  test "a network in half precision finds the same", %{tmp_dir: dir} do
+    path = Networks.write(half(100, {1, 6, 4}), dir)
+    {:ok, detect} = ObjectDetector.load(path: path, version: :v8, labels: ["cat"])
+    assert {:ok, {[%{label: "cat"} = cat, %{label: "1"}], []}} = detect.(picture(200, 100))
+    assert {cat.x, cat.y, cat.width, cat.height} == {40.0, 10.0, 40.0, 40.0}
+    assert_in_delta cat.score, 0.9, 0.001
+  end
+
   defp picture(w, h), do: Image.filled(w, h, :rgb24, 10)
 
   describe "the same is found, however the network says it:" do

@@ -15,12 +15,15 @@ defmodule Situ.Infer.Detection.Masks do
           size: {pos_integer(), pos_integer()}
         }
 
-  @doc "For an output of prototypes with this shape."
-  @spec new(tuple()) :: {:ok, t()} | {:error, Error.t()}
-  def new({_, kinds, h, w}) when kinds > 0 and h > 0 and w > 0 do
+  @doc "For an output of prototypes with this shape and type."
+  @spec new(tuple(), Tensor.element_type()) :: {:ok, t()} | {:error, Error.t()}
+  def new(shape, type \\ :f32)
+
+  def new({_, kinds, h, w}, type)
+      when kinds > 0 and h > 0 and w > 0 and type in [:f32, :f16] do
     bytes =
       Onnx.encode(
-        inputs: [{"weights", :f32, {nil, kinds}}, {"prototypes", :f32, {1, kinds, h, w}}],
+        inputs: [{"weights", :f32, {nil, kinds}}, {"prototypes", type, {1, kinds, h, w}}],
         outputs: [{"masks", :u8, {nil, h * w}}],
         constants: %{
           "flat" => Tensor.from_list([kinds, h * w], :s64, {2}),
@@ -28,7 +31,8 @@ defmodule Situ.Infer.Detection.Masks do
           "white" => Tensor.from_list([255.0], :f32, {1})
         },
         nodes: [
-          {"Reshape", ["prototypes", "flat"], ["kinds"], []},
+          {"Cast", ["prototypes"], ["floats"], [to: 1]},
+          {"Reshape", ["floats", "flat"], ["kinds"], []},
           {"MatMul", ["weights", "kinds"], ["sums"], []},
           # The sigmoid is above a half where the sum is above zero.
           {"Greater", ["sums", "zero"], ["inside"], []},
@@ -42,7 +46,7 @@ defmodule Situ.Infer.Detection.Masks do
          do: {:ok, %__MODULE__{model: model, kinds: kinds, size: {w, h}}}
   end
 
-  def new(shape) do
+  def new(shape, _type) do
     {:error,
      Error.new(
        :model_shape,

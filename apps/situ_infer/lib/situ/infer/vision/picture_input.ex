@@ -55,7 +55,8 @@ defmodule Situ.Infer.Vision.PictureInput do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          :ok <- three(opts),
          {:ok, name, layout, side} <- input(model, side),
-         {:ok, glue} <- glue(layout, side, opts),
+         {type, _shape} = model.inputs[name],
+         {:ok, glue} <- glue(layout, type, side, opts),
          do: {:ok, %__MODULE__{name: name, side: side, glue: glue, fit: opts[:fit]}}
   end
 
@@ -68,7 +69,9 @@ defmodule Situ.Infer.Vision.PictureInput do
   end
 
   defp input(model, side) do
-    ports = for {name, {:f32, {_, _, _, _} = shape}} <- model.inputs, do: {name, shape}
+    ports =
+      for {name, {type, {_, _, _, _} = shape}} when type in [:f32, :f16] <- model.inputs,
+          do: {name, shape}
 
     case ports do
       [{name, {_, 3, h, w}}] -> square(name, :planes, h, w, side, model)
@@ -91,13 +94,14 @@ defmodule Situ.Infer.Vision.PictureInput do
       end)
 
     Error.new(:model_shape, "model #{model.name} does not take one square picture",
-      why: "its inputs are #{shapes}; wanted is f32 {n, 3, side, side} or {n, side, side, 3}",
+      why:
+        "its inputs are #{shapes}; wanted is f32 or f16 {n, 3, side, side} or {n, side, side, 3}",
       fix: "where the file leaves the size free, give side:; else use Situ.Infer.OnnxModel"
     )
   end
 
   # Normalising and laying out a million numbers is work for the library that runs the network.
-  defp glue(layout, side, opts) do
+  defp glue(layout, type, side, opts) do
     {mean, std} =
       if opts[:order] == :bgr,
         do: {Enum.reverse(opts[:mean]), Enum.reverse(opts[:std])},
@@ -110,7 +114,7 @@ defmodule Situ.Infer.Vision.PictureInput do
     bytes =
       Onnx.encode(
         inputs: [{"picture", :f32, {1, side, side, 3}}],
-        outputs: [{"input", :f32, shape}],
+        outputs: [{"input", type, shape}],
         constants: %{
           "order" => Tensor.from_list(order, :s64, {3}),
           "scale" => Tensor.from_list(Enum.map(std, &(opts[:scale] / &1)), :f32, {3}),
@@ -120,7 +124,8 @@ defmodule Situ.Infer.Vision.PictureInput do
           {"Gather", ["picture", "order"], ["ordered"], [axis: 3]},
           {"Mul", ["ordered", "scale"], ["scaled"], []},
           {"Add", ["scaled", "offset"], ["moved"], []},
-          {"Transpose", ["moved"], ["input"], [perm: perm]}
+          {"Transpose", ["moved"], ["laid"], [perm: perm]},
+          {"Cast", ["laid"], ["input"], [to: if(type == :f16, do: 10, else: 1)]}
         ]
       )
 
