@@ -83,9 +83,47 @@ const PICTURES = {
         [from * S, to * S, value],
       );
     await until(page, () => window.situStudio.annotation.told.items.length === 3, "three");
-    await page.click("#tree .node[data-stream='Talk.Voice.Segments']", { button: "right" });
+    await page.click("#tree .node[data-stream='Talk.Voice.Probability']", { button: "right" });
     await page.click("#menu button:has-text('Propose annotations')");
+    await answer(page, "0.5");
     await until(page, () => window.situStudio.annotation.told.items.some((a) => a.proposed), "proposals");
+    await page.focus(".annotation-tools input[type=range]");
+    await page.evaluate(() => {
+      const slider = document.activeElement;
+      slider.value = 0.95;
+      slider.dispatchEvent(new Event("input"));
+      slider.blur();
+    });
+    await page.mouse.move(5, 700);
+    await settled(page);
+    await page.waitForTimeout(4000);
+  },
+  // a run over three sessions, of which one has lost its recording
+  dataset: async (page) => {
+    await page.goto(`${main}/d/study.json`);
+    await until(page, () => document.querySelectorAll("#tree .session img").length === 2, "its recordings are known");
+    await page.click("#tree .node.dataset .name", { button: "right" });
+    await page.click("#menu button:has-text('Run loudness…')");
+    await page.check("#task input[name=overwrite]");
+    await page.click("#task button[type=submit]");
+    await until(page, () => document.querySelector(".run.failed"), "the run is over");
+    for (const row of ["session >> nth=1", "partition >> nth=0"]) await page.click(`#tree .node.${row} >> .fold`);
+    await page.selectOption(".pick select", "size");
+    await page.mouse.move(5, 700);
+    await page.waitForTimeout(1000);
+  },
+  find: async (page) => {
+    await recording(page);
+    await look(page, [0, 14], null, 5.35);
+    await page.keyboard.press("f");
+    await until(page, () => document.activeElement?.id === "query-text", "the field has the focus");
+    await page.keyboard.type("`Talk.Voice.Probability` > 0.9");
+    await page.keyboard.press("Enter");
+    await until(page, () => document.querySelectorAll(".found-times button").length > 3, "times");
+    await page.click(".query button:text('As annotations')");
+    await until(page, () => window.situStudio.annotation?.told.items.length > 3, "proposals");
+    await page.waitForTimeout(4000);
+    await settled(page);
   },
   compare: async (page) => {
     await page.goto(`${main}/s/minute.0000?with=memory`);

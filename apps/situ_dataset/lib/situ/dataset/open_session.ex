@@ -132,6 +132,7 @@ defmodule Situ.Dataset.OpenSession do
 
     fix =
       case Situ.Options.nearest(spec, Enum.uniq(names)) do
+        nil when names == [] -> nil
         nil -> "it has #{names |> Enum.uniq() |> Enum.take(8) |> Enum.map_join(", ", &inspect/1)}"
         near -> "did you mean #{inspect(near)}?"
       end

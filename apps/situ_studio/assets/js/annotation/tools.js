@@ -118,9 +118,9 @@ export class Tools {
   // How many each button is about: the chosen proposal, those of the confidence, or all.
   proposals(told, item) {
     const all = told.items.filter((a) => a.proposed);
-    this.threshold.hidden = this.accept.hidden = this.reject.hidden = !all.length;
-    this.threshold.disabled = !all.some((a) => a.confidence != null);
-    if (!all.length || this.threshold.disabled) this.threshold.value = 0;
+    this.accept.hidden = this.reject.hidden = !all.length;
+    this.threshold.hidden = !all.some((a) => a.confidence != null);
+    if (this.threshold.hidden) this.threshold.value = 0;
     const sure = all.filter((a) => (a.confidence ?? 1) >= this.least).length;
     const below = this.least > 0 ? all.length - sure : all.length;
     const one = item?.proposed;

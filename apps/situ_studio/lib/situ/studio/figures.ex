@@ -118,6 +118,8 @@ defmodule Situ.Studio.Figures do
   @doc "The figure as text; empty where there is none. Times are UTC."
   @spec text(atom(), t()) :: String.t()
   def text(:none, _), do: ""
+  # of what cannot be opened nothing is known
+  def text(_, %{streams: 0}), do: ""
   def text(:count, f), do: Integer.to_string(f.count)
   def text(:streams, %{streams: 1}), do: "1 stream"
   def text(:streams, f), do: "#{f.streams} streams"

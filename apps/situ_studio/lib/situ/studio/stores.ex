@@ -122,7 +122,10 @@ defmodule Situ.Studio.Stores do
   end
 
   defp known_ending?(path),
-    do: Formats.for_file(path) != nil or Document.dataset?(path)
+    do: (Formats.for_file(path) != nil and whole?(path)) or Document.dataset?(path)
+
+  # A store of JSON is its catalog; other JSON (statistics, settings) is no recording.
+  defp whole?(path), do: Path.extname(path) != ".json" or String.ends_with?(path, ".Catalog.json")
 
   defp kind(path) do
     case File.lstat(path) do

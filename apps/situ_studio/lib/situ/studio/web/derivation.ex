@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.Derivation do
   @moduledoc false
   # The derived streams of a page: those of its layout, and those made on it.
-  import Situ.Live.Socket, only: [assign: 2]
+  import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Error
   alias Situ.Live.Socket
@@ -45,10 +45,20 @@ defmodule Situ.Studio.Web.Derivation do
     end
   end
 
-  @doc "A derived stream for each member of a stream's values, and how many these are."
-  @spec members(Socket.t(), String.t()) ::
-          {:ok, non_neg_integer(), Socket.t()} | {:error, Error.t()}
-  def members(%{assigns: assigns} = socket, stream) do
+  @doc "Makes a derived stream of each member of a stream's values, and says how many these are."
+  @spec derive_members(Socket.t(), String.t(), (Socket.t() -> Socket.t())) :: Socket.t()
+  def derive_members(socket, stream, load) do
+    case members(socket, stream) do
+      {:ok, n, socket} ->
+        said = if n == 1, do: "1 derived stream", else: "#{n} derived streams"
+        socket |> load.() |> push_event("toast", %{text: said <> " above the others in the tree"})
+
+      {:error, error} ->
+        push_event(socket, "toast", %{text: Exception.message(error)})
+    end
+  end
+
+  defp members(%{assigns: assigns} = socket, stream) do
     with %StreamInfo{} = info <- Enum.find(assigns.infos, &(&1.name == stream)) || none(stream),
          [_ | _] = texts <- Members.expressions(stream, looked_at(assigns.source, info)) do
       names =

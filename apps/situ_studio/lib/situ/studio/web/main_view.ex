@@ -194,16 +194,8 @@ defmodule Situ.Studio.Web.MainView do
     end
   end
 
-  def handle_event("derive_members", %{"stream" => stream}, socket) when is_binary(stream) do
-    case Derivation.members(socket, stream) do
-      {:ok, n, socket} ->
-        said = "#{n} derived streams, at the end of the tree"
-        {:noreply, socket |> load_streams() |> push_event("toast", %{text: said})}
-
-      {:error, error} ->
-        {:noreply, toast(socket, error)}
-    end
-  end
+  def handle_event("derive_members", %{"stream" => stream}, socket) when is_binary(stream),
+    do: {:noreply, Derivation.derive_members(socket, stream, &load_streams/1)}
 
   def handle_event("export_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
     do: ExportDialog.handle_event(event, params, socket)
