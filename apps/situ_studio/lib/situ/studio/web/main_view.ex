@@ -180,6 +180,7 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_event("layout_" <> _ = event, params, socket) do
     {:noreply, chosen} = LayoutMenu.handle_event(event, params, socket)
+    chosen = picked(chosen, socket.assigns)
     {:noreply, chosen |> moved(socket) |> Derivation.known(&load_streams/1)}
   end
 
@@ -241,7 +242,7 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_event(_, _, socket), do: {:noreply, socket}
 
-  # The layout before a change; picking a layout is one, too.
+  # The layout before a change; picking another is one, too.
   defp remember(%{assigns: assigns} = socket, event, changes)
        when event not in ["undo", "redo"] do
     if Keyword.get(changes, :layout, assigns.layout) == assigns.layout,
@@ -250,6 +251,11 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   defp remember(socket, _, _), do: socket
+
+  defp picked(%{assigns: %{layout: %{rows: same}}} = socket, %{layout: %{rows: same}}), do: socket
+
+  defp picked(socket, %{layout: before, undo: undo}),
+    do: assign(socket, undo: Enum.take([before | undo], @undo), redo: [])
 
   @impl true
   def handle_info({:exported, result}, socket) do

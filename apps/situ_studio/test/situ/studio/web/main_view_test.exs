@@ -230,6 +230,18 @@ defmodule Situ.Studio.Web.MainViewTest do
     assert Page.text(page, "#tree .node[data-stream='Mic.Level'] .info") == "8 B"
   end
 
+  test "a layout that is picked in place of changes is taken back by undo", %{studio: studio} do
+    page = open(studio)
+    Page.event(page, "add_viz", %{"stream" => "Mic.Level", "viz" => "value"})
+    n = Page.count(page, "[data-panel]")
+    Page.event(page, "layout_pick", %{"layout" => "Automatic"})
+    assert Page.count(page, "[data-panel]") == n - 1
+    Page.event(page, "undo", %{})
+    assert Page.count(page, "[data-panel]") == n
+    Page.event(page, "redo", %{})
+    assert Page.count(page, "[data-panel]") == n - 1
+  end
+
   test "new streams appear when the page says that there are some", context do
     page = open(context.studio)
     message = %Situ.Message{data: 1, originating_time: 2_000}
