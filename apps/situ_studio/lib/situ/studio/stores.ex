@@ -96,9 +96,22 @@ defmodule Situ.Studio.Stores do
     {found, _budget} = walk(root, @depth, {[], @entries})
 
     found
+    |> newest()
     |> Enum.take(@most)
     |> Enum.map(&{Path.relative_to(&1, root), &1})
     |> Enum.sort_by(fn {name, _} -> NaturalOrder.key(name) end)
+  end
+
+  # Every save of annotations is a version: the list has the last one, an address any.
+  defp newest(paths) do
+    {annotations, others} = Enum.split_with(paths, &(Path.basename(&1) =~ "-annotation-"))
+
+    last =
+      annotations
+      |> Enum.group_by(&Path.rootname/1)
+      |> Enum.map(fn {_, versions} -> Enum.max_by(versions, &{String.length(&1), &1}) end)
+
+    others ++ last
   end
 
   defp walk(_folder, _depth, {found, budget}) when budget <= 0 or length(found) >= @most,

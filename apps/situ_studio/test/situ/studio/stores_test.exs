@@ -10,6 +10,29 @@ defmodule Situ.Studio.StoresTest do
   end
 
   @tag :tmp_dir
+  test "of annotations the last version is listed; JSON that is no store is no recording", %{
+    tmp_dir: tmp
+  } do
+    for name <-
+          ~w(Talk Talk Talk.0000-annotation-A Talk.0000-annotation-A Talk.0000-annotation-B),
+        do: record(name, tmp)
+
+    File.write!(Path.join(tmp, "p1.statistics.json"), "{}")
+    File.write!(Path.join(tmp, "Notes.Catalog.json"), "[]")
+    File.write!(Path.join(tmp, "Notes.Data.json"), "[]")
+
+    assert tmp |> Stores.discover() |> Enum.map(&elem(&1, 0)) |> Enum.sort() == [
+             "Notes.Catalog.json",
+             "Talk.0000",
+             "Talk.0000-annotation-A.0001",
+             "Talk.0000-annotation-B.0000",
+             "Talk.0001"
+           ]
+
+    assert {:ok, _} = Stores.find(tmp, "Talk.0000-annotation-A.0000")
+  end
+
+  @tag :tmp_dir
   test "recordings are listed without following links, and found by their names alone", %{
     tmp_dir: tmp
   } do
