@@ -78,7 +78,7 @@ defmodule Situ.Bridge.Columnar do
     {:not_writable, what} -> not_writable("the messages", what)
   end
 
-  @doc "Writes several streams of a recording as one table; options besides the format's and those of a join as `write/5`."
+  @doc "Writes several streams of a recording as one table. Options: those of a join, and those of `write/5`."
   @spec join(module(), Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def join(writer, store, path, opts) do
