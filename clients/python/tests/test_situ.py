@@ -104,6 +104,21 @@ class Stores(unittest.TestCase):
             with self.assertRaises(KeyError):
                 next(store.read("nothing"))
 
+    def test_a_time_that_is_none_is_refused_and_nothing_else_is_lost(self):
+        with tempfile.TemporaryDirectory() as root:
+            with situ.create("times", root) as store:
+                store.write("n", -(10**18), 1)
+                for time, error in ((1.5e9, TypeError), (2**63, ValueError), (None, TypeError)):
+                    with self.assertRaises(error):
+                        store.write("n", time, 2)
+                with self.assertRaises(TypeError):
+                    store.write("n", 5, 2, creation=1.5)
+                with self.assertRaises(TypeError):
+                    store.write("set", 5, {1})
+            store = situ.open(os.path.join(root, "times"))
+            self.assertEqual([(m.time, m.data) for m in store.read("n")], [(-(10**18), 1)])
+            self.assertEqual(list(store.streams), ["n"])
+
     def test_a_store_is_read_while_it_is_written(self):
         with tempfile.TemporaryDirectory() as root:
             writer = situ.create("live", root)
@@ -129,6 +144,15 @@ class Stores(unittest.TestCase):
 
 @unittest.skipUnless(np is not None, "numpy is not there")
 class Arrays(unittest.TestCase):
+    def test_numpys_numbers_are_numbers(self):
+        with tempfile.TemporaryDirectory() as root:
+            with situ.create("numbers", root) as store:
+                for name, value in (("i", np.int64(7)), ("f", np.float32(1.5)), ("b", np.bool_(True)), ("z", np.array(3))):
+                    store.write(name, np.int64(5), value)
+            store = situ.open(os.path.join(root, "numbers"))
+            got = {name: (s.type, next(store.read(name)).data) for name, s in store.streams.items()}
+            self.assertEqual(got, {"i": (":integer", 7), "f": (":float", 1.5), "b": (":boolean", True), "z": (":integer", 3)})
+
     def test_pictures(self):
         array = np.arange(2 * 3 * 3, dtype="u1").reshape(2, 3, 3)
         picture = situ.Image.from_array(array)

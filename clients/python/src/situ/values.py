@@ -355,8 +355,10 @@ def decode(name, raw):
 
 
 def coded(value):
-    """The value to write: the value itself, or for an array its tensor."""
-    return Tensor.from_array(value) if hasattr(value, "__array__") and getattr(value, "ndim", 0) > 0 else value
+    """The value to write: the value itself, for an array its tensor, for one of numpy's numbers that of Python."""
+    if not hasattr(value, "__array__"):
+        return value
+    return Tensor.from_array(value) if getattr(value, "ndim", 0) > 0 else value.item()
 
 
 def codec(value):

@@ -2,6 +2,7 @@
 
 import fcntl
 import json
+import operator
 import os
 import re
 import struct
@@ -31,6 +32,13 @@ def create(name, root="."):
             number += 1
 
 
+def _time(time):
+    time = operator.index(time)
+    if not -(1 << 63) <= time < 1 << 63:
+        raise ValueError(f"{time} ns is no time that a store holds: it ends in 2262")
+    return time
+
+
 class Writer:
     """Writes messages to streams. Those that `commit` has written are visible to readers and survive a kill."""
 
@@ -55,15 +63,18 @@ class Writer:
         self.close()
 
     def write(self, name, time, data, creation=None):
-        """Appends a message. Its time must be later than the stream's last one (ValueError). Data are numbers, text,
-        bytes, None, lists, tuples, dicts, arrays, and the classes of this package (TypeError for others)."""
+        """Appends a message. Its time, nanoseconds as an int, must be later than the stream's last one (ValueError). Data
+        are numbers, text, bytes, None, lists, tuples, dicts, arrays, and the classes of this package (TypeError for
+        others)."""
+        time = _time(time)
+        creation = max(now(), time) if creation is None else _time(creation)
         stream = self._streams.get(name) or self._open(name, data)
         if stream.last is not None and time <= stream.last:
             raise ValueError(f"{name}: {time} is not later than the message before, {stream.last}")
         kind, payload = self._encode(stream, values.coded(data))
         if kind != stream.kind or len(payload) >= _LARGE or stream.full():
             self._flush(stream)
-        stream.add(kind, time, creation if creation is not None else max(now(), time), payload)
+        stream.add(kind, time, creation, payload)
         if len(payload) >= _LARGE:
             self._flush(stream)
 
@@ -80,6 +91,8 @@ class Writer:
         data = values.coded(data)
         codec = values.codec(data)
         kinds = {bool: ":boolean", int: ":integer", float: ":float", str: ":string", bytes: ":binary"}
+        if not codec and type(data) not in kinds:
+            terms.encode(data)  # one that cannot be written opens no stream
         return self.open(name, codec.TYPE if codec else kinds.get(type(data), ":any"))
 
     def _encode(self, stream, data):
