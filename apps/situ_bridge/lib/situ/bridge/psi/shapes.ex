@@ -108,11 +108,13 @@ defmodule Situ.Bridge.Psi.Shapes do
 
   defp collection(:old_dictionary, _), do: {:ok, %{}}
 
-  defp collection(:set, %{"entries" => entries, "count" => count}) when is_list(entries),
-    do: {:ok, entries |> Enum.take(max(count, 0)) |> items()}
+  defp collection(:set, %{"entries" => entries, "count" => count})
+       when is_list(entries) and is_integer(count),
+       do: {:ok, entries |> Enum.take(max(count, 0)) |> items()}
 
-  defp collection(:set, %{"slots" => slots, "lastIndex" => count}) when is_list(slots),
-    do: {:ok, slots |> Enum.take(max(count, 0)) |> items()}
+  defp collection(:set, %{"slots" => slots, "lastIndex" => count})
+       when is_list(slots) and is_integer(count),
+       do: {:ok, slots |> Enum.take(max(count, 0)) |> items()}
 
   # A set in which nothing was ever put has no table.
   defp collection(:set, %{"count" => 0}), do: {:ok, []}

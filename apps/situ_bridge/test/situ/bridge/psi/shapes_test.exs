@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Psi.ShapesTest do
   # Types that no genuine store here has, written by \psi's rules of serialization.
   use ExUnit.Case, async: true
-  alias Situ.Bridge.Psi.{Decoder, Schema, Types}
+  alias Situ.Bridge.Psi.{Decoder, Schema, Shapes, Types}
 
   @new <<0, 0, 0, 0x80>>
   @null <<0::32>>
@@ -287,6 +287,24 @@ defmodule Situ.Bridge.Psi.ShapesTest do
 
       assert decode(schemas, generic <> "SortedDictionary`2" <> of, [@new, @new, root, i32(3)]) ==
                {:ok, %{1 => 0.5, 2 => 1.0, 3 => 1.5}}
+    end
+
+    test "members that make no sense together stay members" do
+      junk = [nil, "text", 7, -1, [], [nil, 5, %{"Next" => "x"}], %{"root" => nil}, {1}, 1.5]
+
+      names =
+        ~w(_items _size _array _head _entries _count slots m_lastIndex root _set keys values _tables list)
+
+      shapes =
+        ~w(list stack queue set tree tree_map sorted_list concurrent wrapped old_dictionary image depth_image
+           encoded_image audio nullable)a
+
+      :rand.seed(:exsss, {3, 4, 5})
+
+      for shape <- shapes, _ <- 1..500 do
+        members = for name <- Enum.take_random(names, 4), do: {name, Enum.random(junk)}
+        _ = Shapes.value(shape, members)
+      end
     end
 
     test "a dictionary behind an interface has its own keys alone" do
