@@ -15,7 +15,7 @@ defmodule Situ.Bridge.Psi do
   | numbers, `bool`, `string`, enums | integers, floats, booleans, strings, integers; NaN and infinities are `:nan`, `:infinity`, `:neg_infinity` |
   | `DateTime`, `TimeSpan` | nanoseconds (since 1970; of a duration) |
   | `char`, `decimal`, `Guid` | strings |
-  | arrays, `List`, `IEnumerable`, `HashSet`, `SortedSet`, `Queue`, `Stack` (from the top); `byte[]`, `MemoryStream` | lists; binaries |
+  | arrays, `List`, `IEnumerable`, `HashSet`, `SortedSet`, `LinkedList`, `Queue`, `Stack` (from the top); `byte[]`, `MemoryStream` | lists; binaries |
   | `Dictionary`, also sorted and concurrent ones; tuples; `Nullable`; `Shared<T>` | maps; tuples; the value or `nil`; what is shared |
   | images, depth images, encoded images (of depth too: their scale is not in the file), sound | the same as Situ's |
   | `TimeIntervalAnnotationSet` | maps, which everything that works with annotations understands |

@@ -137,12 +137,21 @@ defmodule Situ.Bridge.Psi.Decoder do
   defp object(plan, type, bytes, %{next: id, nodes: nodes, refs: refs} = state) do
     state = %{state | next: id + 1, nodes: nodes + 1, objects: Map.put(state.objects, id, :open)}
     {value, rest, state} = content(plan, bytes, state)
+    state = closed(plan, id, refs, state)
     value = value |> with_type(type, plan) |> with_id(id, state)
 
     # An object that holds references by number cannot be repeated elsewhere.
     done = if state.refs == refs, do: {value, state.nodes - nodes}, else: :open
     {value, rest, %{state | objects: Map.put(state.objects, id, done)}}
   end
+
+  # The nodes of a linked list refer to one another and to the list: of that nothing is left in its items.
+  defp closed({:fields, _, :linked}, id, refs, state) do
+    needed = state.needed |> Enum.filter(&(&1 < id)) |> MapSet.new()
+    %{state | refs: refs, needed: needed}
+  end
+
+  defp closed(_plan, _id, _refs, state), do: state
 
   # Which of several types an object has is told where the member does not. Dictionaries have keys of their own.
   defp with_type(%{__struct__: _} = struct, _type, _plan), do: struct

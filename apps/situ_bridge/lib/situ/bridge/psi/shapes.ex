@@ -12,6 +12,7 @@ defmodule Situ.Bridge.Psi.Shapes do
     (@generic <> "HashSet`1") => :set,
     (@generic <> "Queue`1") => :queue,
     (@generic <> "Stack`1") => :stack,
+    (@generic <> "LinkedList`1") => :linked,
     (@generic <> "SortedSet`1") => :tree,
     (@generic <> "TreeSet`1") => :tree,
     (@generic <> "SortedDictionary`2") => :tree_map,
@@ -30,7 +31,7 @@ defmodule Situ.Bridge.Psi.Shapes do
     "Microsoft.Psi.Audio.AudioBuffer" => :audio
   }
 
-  @lists [:list, :set, :queue, :stack, :tree, :wrapped]
+  @lists [:list, :set, :queue, :stack, :linked, :tree, :wrapped]
   @maps [:dictionary, :tree_map, :sorted_list, :concurrent]
   @interfaces for name <-
                     ~w(IEnumerable`1 IList`1 ICollection`1 ISet`1 IReadOnlyList`1 IReadOnlyCollection`1),
@@ -119,6 +120,9 @@ defmodule Situ.Bridge.Psi.Shapes do
   # A set in which nothing was ever put has no table.
   defp collection(:set, %{"count" => 0}), do: {:ok, []}
 
+  defp collection(:linked, %{"head" => nil}), do: {:ok, []}
+  defp collection(:linked, %{"head" => %{} = head}), do: {:ok, linked(head, [])}
+
   defp collection(:tree, %{"root" => root}),
     do: {:ok, root |> walk([], 0) |> Enum.map(& &1["item"])}
 
@@ -168,6 +172,10 @@ defmodule Situ.Bridge.Psi.Shapes do
 
     Map.get(map, key)
   end
+
+  # The last node refers to the first.
+  defp linked(%{"item" => item, "next" => next}, found), do: linked(next, [item | found])
+  defp linked(_reference, found), do: Enum.reverse(found)
 
   defp walk(%{} = node, found, depth) when depth < @deepest do
     item = named(node, "item")

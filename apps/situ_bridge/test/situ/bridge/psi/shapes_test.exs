@@ -244,6 +244,31 @@ defmodule Situ.Bridge.Psi.ShapesTest do
       assert decode([stack], stack.name, [@new, array, i32(2)]) == {:ok, [0, 3]}
     end
 
+    test "a linked list has the items of its nodes, which refer to one another" do
+      list = "System.Collections.Generic.LinkedList`1[[System.String]]"
+      node = "System.Collections.Generic.LinkedListNode`1[[System.String]]"
+
+      schemas = [
+        typed(schema("Two", []), [{"A", list}, {"B", list}]),
+        typed(schema(list, []), [{"head", node}, {"count", "System.Int32"}]),
+        typed(schema(node, []), [
+          {"list", list},
+          {"next", node},
+          {"prev", node},
+          {"item", "System.String"}
+        ])
+      ]
+
+      ref = fn id -> <<id, 0, 0, 0x40>> end
+      text = fn text -> [@new, i32(byte_size(text)), text] end
+      # Of the objects the list is the second (1), the nodes 2 and 3, the texts 4 and 5.
+      second = [@new, ref.(1), ref.(2), ref.(2), text.("b")]
+      first = [@new, ref.(1), second, ref.(3), text.("a")]
+      bytes = [@new, [@new, first, i32(2)], ref.(1)]
+      assert decode(schemas, "Two", bytes) == {:ok, %{"A" => ["a", "b"], "B" => ["a", "b"]}}
+      assert decode(schemas, list, [@new, @null, i32(0)]) == {:ok, []}
+    end
+
     test "a concurrent dictionary has the pairs of its chains" do
       base = "System.Collections.Concurrent.ConcurrentDictionary`2"
       of = "[[System.Int32],[System.Boolean]]"
