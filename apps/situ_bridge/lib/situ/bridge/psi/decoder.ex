@@ -20,8 +20,6 @@ defmodule Situ.Bridge.Psi.Decoder do
   # CompressionMethod.None and DepthCompressionMethod.None
   @uncompressed 2
 
-  @enums [:uint8, :int16, :int64]
-
   defstruct [
     :types,
     objects: %{},
@@ -68,8 +66,7 @@ defmodule Situ.Bridge.Psi.Decoder do
   def message(bytes, type_name, handler, types) do
     with {:error, why} <- decode(bytes, handler, types) do
       # Enums in plain structs have no schema: the width with which all bytes have a meaning is theirs.
-      Enum.find_value(@enums, {:error, why}, fn enum ->
-        types = Types.with_enum(types, enum)
+      Enum.find_value(types.others, {:error, why}, fn types ->
         with {:error, _} <- decode(bytes, Types.handler(types, type_name), types), do: nil
       end)
     end

@@ -29,6 +29,8 @@ defmodule Situ.Bridge.Psi.Media do
     {3, 64} => :f64
   }
 
+  @most_unpacked 268_435_456
+
   @types %{
     "Microsoft.Psi.Imaging.Image" => Situ.Image,
     "Microsoft.Psi.Imaging.DepthImage" => Situ.DepthImage,
@@ -64,7 +66,7 @@ defmodule Situ.Bridge.Psi.Media do
          "pixelFormat" => code
        })
        when is_integer(w) and w > 0 and is_integer(h) and h > 0 do
-    with {:ok, rows} <- gunzip(packed, h * (w * 8 + 64)),
+    with {:ok, rows} <- gunzip(packed, min(h * (w * 8 + 64), @most_unpacked)),
          do:
            Situ.Image.new(
              width: w,

@@ -9,7 +9,7 @@ defmodule Situ.Bridge.Psi.Types do
   # and a handler says how a member refers to it: {:value, plan or name} without, {:object, plan or name} with a prefix.
   alias Situ.Bridge.Psi.{Layout, Schema, Shapes, Structs, TypeName}
 
-  defstruct by_name: %{}, by_id: %{}, names: %{}, schemas: %{}, enum: :int32
+  defstruct by_name: %{}, by_id: %{}, names: %{}, schemas: %{}, enum: :int32, others: []
 
   @type plan :: term()
   @type handler :: {:value | :object, plan() | {:type, String.t()} | nil}
@@ -19,34 +19,36 @@ defmodule Situ.Bridge.Psi.Types do
 
   @doc """
   The plans of all types. `runtime` are the names of types by their numbers that streams tell (the first version of
-  \\psi had no schemas). `enum` is how wide an enum is that no schema tells of: `Situ.Bridge.Psi.Decoder` tries others
-  where messages do not agree with 32 bits.
+  \\psi had no schemas). An enum that no schema tells of is taken for one of 32 bits; `others` are the plans with
+  another width, where that makes a difference.
   """
-  @spec new([Schema.t()], %{integer() => String.t()}, atom()) :: t()
-  def new(schemas, runtime \\ %{}, enum \\ :int32) do
+  @spec new([Schema.t()], %{integer() => String.t()}) :: t()
+  def new(schemas, runtime \\ %{}) do
     by_name =
       for schema <- schemas,
           name <- [schema.type_name, schema.name],
           into: %{},
           do: {TypeName.short(name), schema}
 
-    types = %__MODULE__{schemas: by_name, enum: enum}
-    plans = Map.new(by_name, fn {name, schema} -> {name, plan(types, name, schema)} end)
     told = for {id, name} <- runtime, is_binary(name), into: %{}, do: {id, TypeName.short(name)}
     names = Map.merge(told, Map.new(schemas, &{&1.id, TypeName.short(&1.type_name)}))
+    types = planned(%__MODULE__{schemas: by_name, names: names})
 
-    by_id =
-      Map.new(names, fn {id, name} -> {id, plans[name] || elem(handler(types, name), 1)} end)
+    others =
+      for enum <- [:uint8, :int16, :int64],
+          other = planned(%{types | enum: enum}),
+          other.by_name != types.by_name,
+          do: other
 
-    %{types | by_name: plans, by_id: by_id, names: names}
+    %{types | others: others}
   end
 
-  @doc "The same with another width of the enums that no schema tells of."
-  @spec with_enum(t(), atom()) :: t()
-  def with_enum(types, enum) do
-    types = %{types | enum: enum}
+  defp planned(types) do
     plans = Map.new(types.schemas, fn {name, schema} -> {name, plan(types, name, schema)} end)
-    by_id = Map.new(types.by_id, fn {id, plan} -> {id, plans[types.names[id]] || plan} end)
+
+    by_id =
+      Map.new(types.names, fn {id, name} -> {id, plans[name] || elem(handler(types, name), 1)} end)
+
     %{types | by_name: plans, by_id: by_id}
   end
 
