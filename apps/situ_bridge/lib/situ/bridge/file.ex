@@ -146,7 +146,7 @@ defmodule Situ.Bridge.File do
          module: Format.module!(opts[:format]),
          format: opts[:format],
          file: nil,
-         n: 0
+         place: 0
        }}
 
   @impl true
@@ -159,19 +159,20 @@ defmodule Situ.Bridge.File do
 
   @impl true
   def handle_message(:in, message, _context, state) do
-    append(state, record(state, message))
-    {[], %{state | n: state.n + 1}}
+    {record, place} = record(state, message)
+    append(state, record)
+    {[], %{state | place: place}}
   end
 
   defp record(state, message) do
-    state.module.record(message.data, message.originating_time, state.n)
+    Format.record(state.module, message.data, message.originating_time, state.place)
   catch
     {:not_writable, what} -> raise Format.not_writable(state.format, what)
   end
 
   @impl true
   def handle_closed(:in, _time, _context, state) do
-    append(state, state.module.finish(state.n))
+    append(state, state.module.finish(state.place))
     {[], close(state)}
   end
 

@@ -20,6 +20,9 @@ defmodule Situ.Bridge.Format do
       iex> Format.decode(:json, bytes)
       {:ok, {0, %{"x" => 1.5}}}
 
+  A CSV file has one heading, made of its first message: a member that a later one lacks is an empty field, one that the
+  heading lacks is an error.
+
   Values are numbers, strings, booleans, `nil`, `:nan`, `:infinity`, `:neg_infinity`, lists, maps, structs (as maps of
   their fields) and `{[{key, value}]}`, an object in a given order. Maps that are read have string keys, and reading
   makes no atoms; with `objects: :pairs` objects come as such ordered ones.
@@ -38,19 +41,24 @@ defmodule Situ.Bridge.Format do
   @callback encode(value :: term(), Situ.Time.t()) :: iodata()
   @doc "Reads it back."
   @callback decode(binary(), opts :: keyword()) :: {:ok, timed()} | {:error, String.t()}
-  @doc "A record of a file, the `n`th (0 is the first)."
-  @callback record(value :: term(), Situ.Time.t(), n :: non_neg_integer()) :: iodata()
-  @doc "The records of plain numbers, where many at once are made in another way; `n` stand before them."
-  @callback columns(Situ.Store.Columns.t(), n :: non_neg_integer()) :: iodata()
-  @doc "The end of a file with `n` records."
-  @callback finish(n :: non_neg_integer()) :: iodata()
+  @typedoc "A place in a file: how many records stand before it, and where there is a heading its names. 0 is the first."
+  @type place :: non_neg_integer() | {pos_integer(), [String.t()]}
+
+  @doc "A record of a file."
+  @callback record(value :: term(), Situ.Time.t(), place()) :: iodata()
+  @doc "The place behind the first record of a file, when there is a heading."
+  @callback headed(value :: term()) :: place()
+  @doc "The records of plain numbers, where many at once are made in another way."
+  @callback columns(Situ.Store.Columns.t(), place()) :: iodata()
+  @doc "The end of a file."
+  @callback finish(place()) :: iodata()
   @doc "State before the first byte of a file."
   @callback start() :: term()
   @doc "The whole records in `bytes` (with `last?` they are the file's last) and what is left for the next call."
   @callback split(bytes :: binary(), state :: term(), last? :: boolean(), opts :: keyword()) ::
               {:ok, [timed()], rest()} | {:error, String.t()}
 
-  @optional_callbacks columns: 2
+  @optional_callbacks columns: 2, headed: 1
 
   @modules %{
     json: Json,
@@ -80,30 +88,51 @@ defmodule Situ.Bridge.Format do
   end
 
   @doc """
-  The records of a part of a stream (`Situ.Store.columns/3`) in a file that has `n` before them, and how many it has
-  then. Raises a `Situ.Error`, `:not_writable`, for a value that the format does not have.
+  The records of a part of a stream (`Situ.Store.columns/3`) at a place of a file, and the place behind them. Raises a
+  `Situ.Error`, `:not_writable`, for a value that the format does not have, or its heading has no column for.
   """
-  @spec records(name(), Columns.t() | [Situ.Message.t()], non_neg_integer()) ::
-          {iodata(), non_neg_integer()}
-  def records(name, part, n) do
+  @spec records(name(), Columns.t() | [Situ.Message.t()], place()) :: {iodata(), place()}
+  def records(name, part, place) do
     module = module!(name)
 
     case part do
       %Columns{} ->
-        if function_exported?(module, :columns, 2),
-          do: {apply(module, :columns, [part, n]), n + part.count},
-          else: part |> Columns.pairs() |> each(module, n)
+        if function_exported?(module, :columns, 2) and numbers?(place),
+          do: {apply(module, :columns, [part, place]), behind(module, 0, place, part.count)},
+          else: part |> Columns.pairs() |> each(module, place)
 
       messages ->
-        messages |> Enum.map(&{&1.originating_time, &1.data}) |> each(module, n)
+        messages |> Enum.map(&{&1.originating_time, &1.data}) |> each(module, place)
     end
   catch
     {:not_writable, what} -> raise not_writable(name, what)
   end
 
-  defp each(pairs, module, n),
-    do:
-      Enum.map_reduce(pairs, n, fn {time, value}, n -> {module.record(value, time, n), n + 1} end)
+  defp numbers?({_, names}), do: names == ["_Value_"]
+  defp numbers?(_n), do: true
+
+  defp each(pairs, module, place),
+    do: Enum.map_reduce(pairs, place, fn {time, value}, at -> record(module, value, time, at) end)
+
+  @doc false
+  @spec record(module(), term(), Situ.Time.t(), place()) :: {iodata(), place()}
+  def record(module, value, time, place),
+    do: {module.record(value, time, place), behind(module, value, place, 1)}
+
+  defp behind(_module, _value, {n, names}, more), do: {n + more, names}
+
+  defp behind(module, value, 0, more) do
+    if function_exported?(module, :headed, 1),
+      do: behind(module, value, module.headed(value), more - 1),
+      else: more
+  end
+
+  defp behind(_module, _value, n, more), do: n + more
+
+  @doc "How many records stand before a place."
+  @spec count(place()) :: non_neg_integer()
+  def count({n, _names}), do: n
+  def count(n), do: n
 
   @doc "The time and the value of one message. Option: `objects: :maps | :pairs`. Error: `:bad_message`."
   @spec decode(name(), binary(), keyword()) :: {:ok, timed()} | {:error, Error.t()}
@@ -118,6 +147,13 @@ defmodule Situ.Bridge.Format do
   end
 
   @doc false
+  def not_writable(name, {:no_column, column, value}) do
+    Error.new(:not_writable, "#{inspect(value, limit: 5)} cannot be written as #{name}",
+      why: "the heading, made of the first message, has no column #{inspect(column)}",
+      fix: "write JSON lines or Parquet, or map the stream to messages that have all members"
+    )
+  end
+
   def not_writable(name, what) do
     Error.new(:not_writable, "#{inspect(what, limit: 5)} cannot be written as #{name}",
       fix: "map the stream to numbers, strings, lists and maps before it is written"

@@ -79,6 +79,36 @@ defmodule Situ.Bridge.FormatTest do
   defp message(value, time),
     do: %Situ.Message{data: value, originating_time: time, creation_time: time, sequence_id: 1}
 
+  describe "records of CSV" do
+    defp csv(values) do
+      messages = for {value, i} <- Enum.with_index(values), do: message(value, i * 100)
+      {records, {n, _names}} = Format.records(:csv, messages, 0)
+      assert n == length(values)
+
+      records
+      |> IO.iodata_to_binary()
+      |> String.split("\r\n", trim: true)
+      |> Enum.map(&String.slice(&1, 29..-1//1))
+    end
+
+    test "have the columns of the heading, whatever members they have" do
+      assert [_, "1,2", ",3", "4,", ","] = csv([%{a: 1, b: 2}, %{b: 3}, %{a: 4, b: nil}, %{}])
+      assert [_, "1,2", "3,"] = csv([[1.0, 2.0], [3.0]])
+      # Names may stand there twice.
+      twice = {[{"x", 1}, {"in", {[{"x", 2}]}}]}
+      assert [_, "1,2", "1,2"] = csv([twice, twice])
+    end
+
+    test "with a member beyond the heading are refused rather than shifted" do
+      for values <- [[%{a: 1}, %{b: 2}], [%{a: 1}, 5], [nil, %{a: 1}], [[1.0], [1.0, 2.0]]] do
+        error = assert_raise Situ.Error, fn -> csv(values) end
+        assert error.code == :not_writable and error.why =~ "no column"
+      end
+
+      assert [_, "1", "", ""] = csv([1, nil, %{a: nil}])
+    end
+  end
+
   property "CSV gives back flat records of texts and numbers, and the time" do
     forall {fields, time} <-
              pair(

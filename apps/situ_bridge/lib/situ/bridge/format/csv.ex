@@ -13,16 +13,37 @@ defmodule Situ.Bridge.Format.Csv do
   def encode(value, time), do: record(value, time, 0)
 
   @impl true
-  def record(value, time, n) do
-    columns = value |> shape() |> columns()
-    {names, fields} = Enum.unzip(columns)
-    heading = if n == 0, do: Row.write([@time | names]), else: []
-    [heading, Row.write([Stamp.iso8601(time) | Enum.map(fields, &field/1)])]
+  def record(value, time, 0) do
+    {names, fields} = value |> laid_out() |> Enum.unzip()
+    [Row.write([@time | names]), row(time, fields)]
+  end
+
+  def record(value, time, n) when is_integer(n),
+    do: row(time, Enum.map(laid_out(value), &elem(&1, 1)))
+
+  # A record has the columns of the heading: a member that is not there is empty, one beyond them cannot be written.
+  def record(value, time, {_n, names}) do
+    columns = laid_out(value)
+
+    if Enum.map(columns, &elem(&1, 0)) == names do
+      row(time, Enum.map(columns, &elem(&1, 1)))
+    else
+      beyond = Enum.find(columns, fn {name, held} -> held != nil and name not in names end)
+      if beyond, do: throw({:not_writable, {:no_column, elem(beyond, 0), value}})
+      columns = Map.new(columns)
+      row(time, Enum.map(names, &columns[&1]))
+    end
   end
 
   @impl true
-  def columns(%{kind: kind, times: times, values: values}, n) do
-    heading = if n == 0, do: Row.write([@time, @value]), else: []
+  def headed(value), do: {1, value |> laid_out() |> Enum.map(&elem(&1, 0))}
+
+  defp laid_out(value), do: value |> shape() |> columns()
+  defp row(time, fields), do: Row.write([Stamp.iso8601(time) | Enum.map(fields, &field/1)])
+
+  @impl true
+  def columns(%{kind: kind, times: times, values: values}, place) do
+    heading = if place == 0, do: Row.write([@time, @value]), else: []
     [heading, Native.csv_lines(kind, times, values)]
   end
 

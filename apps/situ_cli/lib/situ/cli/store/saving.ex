@@ -166,19 +166,19 @@ defmodule Situ.CLI.Store.Saving do
     info = one(store, chosen)
     out = out(file)
 
-    n =
+    place =
       store
       |> Store.columns(info, reading(opts))
-      |> Enum.reduce(0, fn part, n ->
-        {records, n} = records(format, part, n, out)
+      |> Enum.reduce(0, fn part, place ->
+        {records, place} = records(format, part, place, out)
         put(out, records)
-        progress.(n, info.count)
-        n
+        progress.(Format.count(place), info.count)
+        place
       end)
 
-    put(out, Format.module!(format).finish(n))
+    put(out, Format.module!(format).finish(place))
     close(out)
-    %{messages: n, stream: info.name}
+    %{messages: Format.count(place), stream: info.name}
   end
 
   defp table(nil, module, {store, info, _chosen}, file, _opts, written),
@@ -220,8 +220,8 @@ defmodule Situ.CLI.Store.Saving do
   defp bytes(store, name), do: Error.unwrap!(Mcap.attachment(store, name))
 
   # A record that cannot be written ends it, and a file that is not whole does not stay.
-  defp records(format, part, n, out) do
-    Format.records(format, part, n)
+  defp records(format, part, place, out) do
+    Format.records(format, part, place)
   rescue
     error in Error ->
       discard(out)
