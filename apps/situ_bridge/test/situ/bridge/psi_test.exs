@@ -222,6 +222,26 @@ defmodule Situ.Bridge.PsiTest do
     end
   end
 
+  describe "conversion to MCAP" do
+    @tag :tmp_dir
+    test "keeps what the message that came first does not fit", %{tmp_dir: dir} do
+      path = Path.join(dir, "basics.mcap")
+      basics = Store.open!(Path.join(@data, "basics/Basics.0000"))
+      assert {:ok, 227} = Situ.Bridge.Mcap.export(basics, path)
+      mcap = Store.open!(path)
+      # One is too large for 64 bits, one is missing.
+      values = fn store, name -> for m <- Store.messages(store, name), do: m.data end
+      as_json = fn name -> for %{"value" => value} <- values.(mcap, name), do: value end
+      assert as_json.("DateTime") == values.(basics, "DateTime")
+      assert nil in as_json.("NullableDouble")
+      assert as_json.("NullableDouble") == values.(basics, "NullableDouble")
+      assert values.(mcap, "Int") == values.(basics, "Int")
+
+      assert {:error, %{code: :not_writable}} =
+               Situ.Bridge.Mcap.export(basics, path, encoding: :ros1, streams: ["DateTime"])
+    end
+  end
+
   defp data(store, name),
     do: for(m <- Store.messages(store, name), do: {m.originating_time, m.data})
 

@@ -3,36 +3,83 @@ defmodule Situ.Bridge.Recorder.Export do
   # A recording as a file of another format: all its streams' messages, merged by time.
   alias Situ.Bridge.Foxglove.Messages
   alias Situ.Bridge.Ros.{Definition, Library}
-  alias Situ.Store
+  alias Situ.{Error, Store}
 
   def export(module, store, path, opts) do
     {wanted, opts} = Keyword.pop(opts, :streams)
     {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
     {progress, opts} = Keyword.pop(opts, :progress, fn _written -> :ok end)
     {topic, opts} = Keyword.split(opts, Keyword.keys(module.topic_options()))
-    types = Map.new(Store.streams(store), &{&1.name, &1.type_name})
+    infos = Map.new(Store.streams(store), &{&1.name, &1})
+    messages = merged(store, wanted, reading, topic[:encoding])
+    topic = &typed(topic, infos[&1].type_name)
 
-    with {:ok, writer} <- module.create(path, opts),
-         messages = merged(store, wanted, reading, topic[:encoding]),
-         {:ok, writer} <- copy(messages, {module, writer}, topic, types, progress),
-         {:ok, _} <- module.finish(writer),
-         do: {:ok, writer.count}
+    job = %{
+      module: module,
+      path: path,
+      opts: opts,
+      topic: topic,
+      infos: infos,
+      progress: progress
+    }
+
+    written(job, messages, MapSet.new())
   end
 
-  defp copy(messages, {module, writer}, topic, types, progress) do
-    Enum.reduce_while(messages, {:ok, writer}, fn {name, message}, {:ok, writer} ->
-      case module.write(writer, name, message, typed(topic, types[name])) do
+  # A stream's first message settles how it is written where the caller does not. One that a later message does not fit
+  # is written as JSON: from the beginning, since a topic is written in one way.
+  defp written(job, messages, json) do
+    with {:ok, writer} <- job.module.create(job.path, job.opts) do
+      case copy(messages, writer, job, json) do
         {:ok, writer} ->
-          if rem(writer.count, 1_000) == 0, do: progress.(writer.count)
-          {:cont, {:ok, writer}}
+          with {:ok, _} <- job.module.finish(writer), do: {:ok, writer.count}
 
-        error ->
-          {:halt, error}
+        {:error, name, %{code: :not_writable} = error} ->
+          if free?(job, name) and not MapSet.member?(json, name),
+            do: written(job, messages, MapSet.put(json, name)),
+            else: {:error, error}
+
+        {:error, _name, error} ->
+          {:error, error}
+      end
+    end
+  end
+
+  defp free?(job, name) do
+    topic = job.topic.(name)
+
+    Keyword.has_key?(job.module.topic_options(), :encoding) and topic[:type] == nil and
+      topic[:encoding] in [nil, :auto]
+  end
+
+  defp copy(messages, writer, job, json) do
+    Enum.reduce_while(messages, {:ok, writer}, fn {name, message}, {:ok, writer} ->
+      json? = MapSet.member?(json, name)
+      topic = if json?, do: [encoding: :json], else: job.topic.(name)
+
+      with :ok <- there(message.data, job, name, json?),
+           {:ok, writer} <- job.module.write(writer, name, message, topic) do
+        if rem(writer.count, 1_000) == 0, do: job.progress.(writer.count)
+        {:cont, {:ok, writer}}
+      else
+        {:error, error} -> {:halt, {:error, name, error}}
       end
     end)
   rescue
-    error in Situ.Error -> {:error, error}
+    error in Error -> {:error, nil, error}
   end
+
+  # ROS has no missing number or text: it would become 0 or "".
+  defp there(nil, job, name, false) do
+    if free?(job, name) and not struct?(job.infos[name].type),
+      do: {:error, Error.new(:not_writable, "a message of #{name} is nil")},
+      else: :ok
+  end
+
+  defp there(_data, _job, _name, _json?), do: :ok
+
+  defp struct?({:optional, type}), do: struct?(type)
+  defp struct?(type), do: is_atom(type) and match?("Elixir." <> _, Atom.to_string(type))
 
   # A message that came from ROS or Foxglove, and goes as the type that it was, goes with all that was in it.
   defp whole(%{module: module, state: state} = store, type, encoding) do
