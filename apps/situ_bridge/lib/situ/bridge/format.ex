@@ -41,7 +41,7 @@ defmodule Situ.Bridge.Format do
   @callback encode(value :: term(), Situ.Time.t()) :: iodata()
   @doc "Reads it back."
   @callback decode(binary(), opts :: keyword()) :: {:ok, timed()} | {:error, String.t()}
-  @typedoc "A place in a file: how many records stand before it, and where there is a heading its names. 0 is the first."
+  @typedoc "A place in a file: how many records stand before it, and the names of a heading. 0 is the first."
   @type place :: non_neg_integer() | {pos_integer(), [String.t()]}
 
   @doc "A record of a file."
