@@ -289,6 +289,10 @@ test("3 timelines: colour and joins of a line are set in its properties", async 
   await settled(page);
   const points = await blue();
   ok(points > 50 && points < joined / 2, `the joins are gone: ${joined} -> ${points}`);
+  const swatch = await page.$eval(`#f-${panel}-0-color`, (e) =>
+    [1, 3, 5].map((i) => parseInt(e.value.slice(i, i + 2), 16)),
+  );
+  equal(swatch, own, "the field shows the colour of the line, also after another property was changed");
   await page.$eval(`#f-${panel}-0-color`, (e) => {
     e.value = "#ff00ff";
     e.dispatchEvent(new Event("input", { bubbles: true }));

@@ -212,7 +212,10 @@ const hooks = {
       this.updated();
     },
     updated() {
-      if (this.el.dataset.auto) this.el.value = seriesColor(null, Number(this.el.dataset.auto));
+      if (!this.el.dataset.auto) return;
+      this.el.value = seriesColor(null, Number(this.el.dataset.auto));
+      // a patch that leaves the field alone empties it, too: an attribute makes the patch set it again
+      this.el.setAttribute("value", this.el.value);
     },
   },
 

@@ -58,6 +58,12 @@ export class Vector {
     this.matrix = [a * x, b * x, c * y, d * y, e, f];
   }
 
+  rotate(angle) {
+    const [a, b, c, d, e, f] = this.matrix;
+    const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
+    this.matrix = [a * cos + c * sin, b * cos + d * sin, c * cos - a * sin, d * cos - b * sin, e, f];
+  }
+
   point(x, y) {
     const [a, b, c, d, e, f] = this.matrix;
     return `${round(a * x + c * y + e)} ${round(b * x + d * y + f)}`;
@@ -173,12 +179,15 @@ export class Vector {
 
   fillText(text, x, y) {
     const [left, top] = this.point(x, y).split(" ");
+    const [a, b] = this.matrix;
+    const turned = round((Math.atan2(b, a) * 180) / Math.PI);
     const [, size, family] = /([\d.]+)px\s+(.*)/.exec(this.font) ?? [null, "11", "sans-serif"];
     this.put(
       "text",
       {
         x: left,
         y: top,
+        transform: turned && a >= 0 ? `rotate(${turned} ${left} ${top})` : null,
         fill: this.fillStyle,
         "font-size": size,
         "font-family": family,

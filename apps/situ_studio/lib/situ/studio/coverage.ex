@@ -35,19 +35,26 @@ defmodule Situ.Studio.Coverage do
   end
 
   @doc """
-  From the first message of all streams to the last, `nil` where none has any.
+  From the first message of all streams to the last, as the page reads times; `nil` where none has any.
 
       iex> stream = fn first, last -> %Situ.Studio.StreamInfo{name: "", shape: :signal, first: first, last: last} end
-      iex> Situ.Studio.Coverage.all([stream.(5, 9), stream.(nil, nil), stream.(7, nil)])
-      {5, 9}
-      iex> Situ.Studio.Coverage.all([stream.(nil, nil)])
+      iex> Situ.Studio.Coverage.whole([stream.(5, 9), stream.(nil, nil), stream.(7, nil)])
+      %{from: "5", to: "9"}
+      iex> Situ.Studio.Coverage.whole([stream.(5, 5)])
+      %{from: "5", to: "6"}
+      iex> Situ.Studio.Coverage.whole([stream.(nil, nil)])
       nil
   """
-  @spec all([StreamInfo.t()]) :: {Situ.Time.t(), Situ.Time.t()} | nil
-  def all(streams) do
+  @spec whole([StreamInfo.t()]) :: %{from: String.t(), to: String.t()} | nil
+  def whole(streams) do
     case for %{first: first, last: last} when first != nil <- streams, do: {first, last || first} do
-      [] -> nil
-      some -> {Enum.min(Enum.map(some, &elem(&1, 0))), Enum.max(Enum.map(some, &elem(&1, 1)))}
+      [] ->
+        nil
+
+      some ->
+        from = some |> Enum.map(&elem(&1, 0)) |> Enum.min()
+        to = some |> Enum.map(&elem(&1, 1)) |> Enum.max()
+        %{from: Integer.to_string(from), to: Integer.to_string(max(to, from + 1))}
     end
   end
 

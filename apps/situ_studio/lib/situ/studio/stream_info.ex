@@ -235,6 +235,7 @@ defmodule Situ.Studio.StreamInfo do
       Shapes.any?(data) -> :shapes
       Terms.any?(data) -> :space
       Spans.of(data, 0) != [] -> :spans
+      Bars.series(data) != [] -> :bars
       true -> :value
     end
   end

@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Visualizers.Bars do
   @moduledoc """
-  Bars of a message: a list of numbers, a map from names to numbers, or a list of `{name, number}`.
+  Bars of a message: a list of numbers, a map from names to numbers, or a list of `{name, number}`; a map from names to
+  such lists is several series. They can be lines, areas or a plot over x, too, upright or lying.
 
       iex> Situ.Studio.Visualizers.Bars.of(%{"b" => 2, "a" => 1.5})
       [["a", 1.5], ["b", 2]]
@@ -8,30 +9,71 @@ defmodule Situ.Studio.Visualizers.Bars do
       [["0", 3], ["1", 1]]
       iex> Situ.Studio.Visualizers.Bars.of([3, :x])
       []
+      iex> Situ.Studio.Visualizers.Bars.series(%{right: [{"go", 1}], left: [3, 4]})
+      [["left", [["0", 3], ["1", 4]]], ["right", [["go", 1]]]]
   """
   @behaviour Situ.Studio.Visualizer
 
+  alias Situ.Studio.Draw.Key
   alias Situ.Studio.{Frame, Visualizer}
   alias Situ.Studio.Visualizers.Option
 
   @limit 1_000
+  @series 16
+
+  @kinds [
+    {"bars", "bars"},
+    {"stacked", "bars, stacked"},
+    {"line", "lines"},
+    {"area", "areas, stacked"},
+    {"xy", "lines over x"}
+  ]
 
   @impl true
   def about do
-    options = Option.color()
+    options =
+      Option.color() ++
+        [
+          kind: [type: {:in, @kinds}, title: "Drawn as", default: "bars"],
+          lying: [type: :boolean, title: "Lying", default: false],
+          x_title: [type: :text, title: "Title of the names"],
+          y_title: [type: :text, title: "Title of the values"]
+        ] ++ Option.near()
 
     %Visualizer{
       id: "bars",
       title: "Bars",
       panel: :bars,
       shapes: [:bars, :signals],
-      options: options
+      options: options,
+      asks: Option.asks()
     }
   end
 
   @impl true
   def instant(channel, data, message),
-    do: Frame.json(channel, message.originating_time, %{"bars" => of(data)})
+    do: Frame.json(channel, message.originating_time, %{"series" => drawn(of(data), data)})
+
+  defp drawn([], data), do: series(data)
+  defp drawn(rows, _data), do: [["", rows]]
+
+  @doc "`[name, rows]` of each list in a map of lists, by name; empty when `term` is nothing of the kind."
+  @spec series(term()) :: [[String.t() | [[String.t() | number()]]]]
+  def series(%_{}), do: []
+
+  def series(map) when is_map(map) and map_size(map) in 1..@series do
+    rows = for {name, [_ | _] = list} <- map, [_ | _] = rows <- [of(list)], do: {name, rows}
+
+    if length(rows) == map_size(map),
+      do:
+        for(
+          {name, rows} <- Enum.sort_by(rows, &Key.text(elem(&1, 0))),
+          do: [Key.text(name), rows]
+        ),
+      else: []
+  end
+
+  def series(_), do: []
 
   @doc "`[label, value]` in order; empty when `term` is nothing of the kind."
   @spec of(term()) :: [[String.t() | number()]]

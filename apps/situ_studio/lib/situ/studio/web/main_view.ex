@@ -156,13 +156,9 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("zoom_stream", params, socket) do
     names = List.wrap(params["streams"] || params["stream"])
 
-    case Coverage.all(Enum.filter(socket.assigns.infos, &(&1.name in names))) do
-      {first, last} ->
-        times = %{from: Integer.to_string(first), to: Integer.to_string(max(last, first + 1))}
-        {:noreply, push_event(socket, "zoom_to", times)}
-
-      nil ->
-        {:noreply, socket}
+    case Coverage.whole(Enum.filter(socket.assigns.infos, &(&1.name in names))) do
+      nil -> {:noreply, socket}
+      times -> {:noreply, push_event(socket, "zoom_to", times)}
     end
   end
 
