@@ -197,6 +197,21 @@ test("4 pipeline: who waits for whom is told with its cause", async ({ page, sho
   // it waits nearly always: the connection's page says so, too
   await page.click(".waits .row-button");
   await until(page, () => /Stones is busy/.test(document.querySelector(".right .wait")?.textContent ?? ""), "there");
+  // connections of other policies are faded, and the graph runs another way
+  await page.selectOption("#mark select[name='mark']", "latest");
+  await until(page, () => document.querySelector(".graph .edge.faded"), "a throttled connection is faded");
+  await page.selectOption("#mark select[name='mark']", "waits");
+  await until(page, () => document.querySelector(".graph .edge:not(.faded)"), "one that waits is not");
+  await page.selectOption("#mark select[name='way']", "TB");
+  await until(
+    page,
+    () => {
+      const [a, b] = [...document.querySelectorAll(".graph .node")].map((n) => n.getBoundingClientRect());
+      return Math.abs(a.left + a.width / 2 - b.left - b.width / 2) < 2 && a.top !== b.top;
+    },
+    "from top to bottom",
+  );
+  ok(page.url().includes("mark=waits") && page.url().includes("way=TB"), "which the address holds");
 });
 
 test("4 pipeline: one originating time is followed through it", async ({ page, shot }) => {

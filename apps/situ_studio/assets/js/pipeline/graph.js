@@ -107,6 +107,7 @@ export class PipelineGraph {
       item.text.textContent = s.text;
       item.g.style.setProperty("--heat", s.heat);
       item.g.classList.toggle("throttled", s.throttled);
+      item.g.classList.toggle("faded", s.faded);
     }
     for (const [key, s] of Object.entries(stats.nodes)) {
       const item = this.items.get(key);

@@ -6,9 +6,9 @@ const NODE = { height: 40, least: 92, most: 230, letter: 6.6 };
 export const nodeWidth = (label) =>
   Math.round(Math.min(NODE.most, Math.max(NODE.least, label.length * NODE.letter + 34)));
 
-export function layout({ nodes, boxes, edges }) {
+export function layout({ nodes, boxes, edges, way = "LR" }) {
   const g = new dagre.graphlib.Graph({ compound: true, multigraph: true });
-  g.setGraph({ rankdir: "LR", nodesep: 30, ranksep: 38, edgesep: 16, marginx: 24, marginy: 24 });
+  g.setGraph({ rankdir: way, nodesep: 30, ranksep: 38, edgesep: 16, marginx: 24, marginy: 24 });
   g.setDefaultEdgeLabel(() => ({}));
   for (const n of nodes) g.setNode(n.key, { width: nodeWidth(n.label), height: NODE.height });
   // a box that shows nothing would be an empty cluster, which dagre cannot place

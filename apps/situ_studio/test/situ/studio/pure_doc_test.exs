@@ -7,6 +7,7 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Comparison
   doctest Situ.Studio.PipelineView.Fold
   doctest Situ.Studio.PipelineView.Waits
+  doctest Situ.Studio.PipelineView.Marking
   doctest Situ.Studio.Export
   doctest Situ.Studio.Coverage
   doctest Situ.Studio.ValueTree

@@ -1,17 +1,23 @@
 defmodule Situ.Studio.PipelineView.Choice do
   @moduledoc false
-  # The shown part of a pipeline's graph, as its page's address holds it: `heat`, `fold`, `sel`, `plots`, `at`. Pure.
+  # The shown part of a pipeline's graph, as its page's address holds it: `heat`, `mark`, `way`, `fold`, `sel`, `plots`,
+  # `at`. Pure.
   # An address may come from anybody: unknown parts of it are left out.
-  alias Situ.Studio.PipelineView.Stats
+  alias Situ.Studio.PipelineView.{Marking, Stats}
   alias Situ.Studio.Web.Address
 
   @doc "The choices in an address, as assigns; `scopes` are the pipeline's composites."
   @spec read(map(), [String.t()]) :: keyword()
   def read(params, scopes) do
     heat(params["heat"]) ++
+      one_of(:mark, params["mark"], Marking.choices()) ++
+      one_of(:way, params["way"], Marking.directions()) ++
       folded(params["fold"], scopes) ++
       [selected: selected(params["sel"]), plots: plots(params["plots"])]
   end
+
+  defp one_of(key, text, choices),
+    do: if(List.keymember?(choices, text, 0), do: [{key, text}], else: [])
 
   defp heat("none"), do: [heat: "none"]
 
@@ -51,6 +57,8 @@ defmodule Situ.Studio.PipelineView.Choice do
     now =
       %{
         "heat" => assigns.heat,
+        "mark" => unless(assigns.mark == "none", do: assigns.mark),
+        "way" => unless(assigns.way == "LR", do: assigns.way),
         "fold" => folds(assigns.folded),
         "sel" => assigns.selected,
         "plots" => Enum.join(assigns.plots, ","),

@@ -4,7 +4,7 @@ defmodule Situ.Studio.PipelineView.Page do
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
 
-  alias Situ.Studio.PipelineView.{Details, Stats, Tracing}
+  alias Situ.Studio.PipelineView.{Details, Marking, Stats, Tracing}
   alias Situ.Studio.Web.{Address, AlertBox, Chrome}
 
   @spec render(map()) :: Situ.Live.Rendered.t()
@@ -28,6 +28,16 @@ defmodule Situ.Studio.PipelineView.Page do
                   selected={s.id == @heat}>{s.name}</option>
             </select>
           </label>
+        </form>
+        <form id="mark" phx-change="mark">
+          <label>Highlight
+            <select class="select" name="mark">
+              <option :for={{id, name} <- Marking.choices()} value={id} selected={id == @mark}>{name}</option>
+            </select>
+          </label>
+          <select class="select" name="way" aria-label="Direction" title="Direction">
+            <option :for={{id, name} <- Marking.directions()} value={id} selected={id == @way}>{name}</option>
+          </select>
         </form>
         <span class="grow"></span>
         <button :if={@snapshot.scopes != []} class="tool" type="button" phx-click="fold_all">Fold all</button>

@@ -7,7 +7,7 @@ defmodule Situ.Studio.PipelineView do
   Of a running pipeline it shows now, twice a second, and the hour before the page was opened; of a recording, the
   moment
   chosen below the graph. The address holds
-  what is shown: `heat`, `fold`, `sel`, `plots`, `at`.
+  what is shown: `heat`, `mark`, `way`, `fold`, `sel`, `plots`, `at`.
   """
   use Situ.Live.View
 
@@ -32,6 +32,8 @@ defmodule Situ.Studio.PipelineView do
         page_title: "#{id} pipeline - Situ Studio",
         error: nil,
         heat: "queue",
+        mark: "none",
+        way: "LR",
         folded: MapSet.new(),
         selected: nil,
         plots: [],
@@ -115,6 +117,9 @@ defmodule Situ.Studio.PipelineView do
     do: {:noreply, socket |> assign(drawn: nil) |> draw() |> series()}
 
   def handle_event("heat", %{"heat" => id}, socket), do: {:noreply, go(socket, %{"heat" => id})}
+
+  def handle_event("mark", %{"mark" => mark, "way" => way}, socket),
+    do: {:noreply, go(socket, %{"mark" => mark, "way" => way})}
 
   def handle_event("pick", %{"key" => key}, socket) when is_binary(key) do
     key = if key == socket.assigns.selected, do: nil, else: key
@@ -243,16 +248,19 @@ defmodule Situ.Studio.PipelineView do
   defp draw(socket) do
     a = socket.assigns
     graph = Fold.apply(a.snapshot, a.folded)
-    shape = :erlang.phash2(graph)
+    shape = :erlang.phash2({graph, a.way})
 
     socket =
       if a.drawn == shape,
         do: socket,
-        else: push_event(socket, "pipeline:graph", Wire.graph(graph))
+        else: push_event(socket, "pipeline:graph", Wire.graph(graph, a.way))
 
     socket
     |> assign(drawn: shape)
-    |> push_event("pipeline:stats", Wire.stats(graph, a.snapshot, a.sample, a.heat, a.selected))
+    |> push_event(
+      "pipeline:stats",
+      Wire.stats(graph, a.snapshot, a.sample, {a.heat, a.mark}, a.selected)
+    )
   end
 
   defp point(socket) do

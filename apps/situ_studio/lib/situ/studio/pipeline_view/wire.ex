@@ -2,11 +2,13 @@ defmodule Situ.Studio.PipelineView.Wire do
   @moduledoc false
   # The messages to the page's hooks: the graph when its shape changes, numbers and colours at each tick, points of the
   # plots.
-  alias Situ.Studio.PipelineView.{Fold, Stats}
+  alias Situ.Studio.PipelineView.{Fold, Marking, Stats, Waits}
 
-  @spec graph(Fold.t()) :: map()
-  def graph(%Fold{} = graph) do
+  @doc "The graph, which runs from left to right or another `way` (`Marking.directions/0`)."
+  @spec graph(Fold.t(), String.t()) :: map()
+  def graph(%Fold{} = graph, way \\ "LR") do
     %{
+      way: way,
       nodes: Enum.map(graph.nodes, &Map.take(&1, [:key, :label, :kind, :parent, :path, :joins])),
       boxes: Enum.map(graph.boxes, &Map.take(&1, [:key, :label, :path, :parent])),
       edges:
@@ -19,18 +21,22 @@ defmodule Situ.Studio.PipelineView.Wire do
           Fold.t(),
           Situ.Diagnostics.Snapshot.t(),
           Stats.sample(),
-          String.t(),
+          {heat :: String.t(), mark :: String.t()},
           String.t() | nil
         ) ::
           map()
-  def stats(graph, snapshot, sample, heat, selected) do
+  def stats(graph, snapshot, sample, {heat, mark}, selected) do
     states = Map.new(snapshot.nodes, &{&1.id, &1})
     {edges, nodes} = heats(graph, sample, heat)
+    waiting = if mark == "waits", do: for(w <- Waits.of(snapshot, sample), do: w.edge), else: []
 
     %{
       selected: selected,
       edges:
-        Map.new(graph.edges, fn edge -> {edge.key, edge_numbers(edge, edges, sample, heat)} end),
+        Map.new(graph.edges, fn edge ->
+          faded? = Marking.faded?(mark, edge.policy, Enum.any?(edge.ids, &(&1 in waiting)))
+          {edge.key, edge |> edge_numbers(edges, sample, heat) |> Map.put(:faded, faded?)}
+        end),
       nodes:
         Map.new(graph.nodes, fn node -> {node.key, node_numbers(node, nodes, states, heat)} end)
     }

@@ -7,6 +7,8 @@ defmodule Situ.Studio.PipelineView.ChoiceTest do
   @shown %{
     id: "a/b",
     heat: "queue",
+    mark: "waits",
+    way: "TB",
     folded: MapSet.new(["Front", "Back"]),
     selected: "e1",
     plots: ["queue"],
@@ -23,7 +25,9 @@ defmodule Situ.Studio.PipelineView.ChoiceTest do
     read = @shown |> Choice.address(%{}) |> read(["Front", "Back", "Other"])
 
     assert Enum.sort(read) ==
-             Enum.sort(Map.to_list(Map.take(@shown, [:heat, :folded, :selected, :plots])))
+             Enum.sort(
+               Map.to_list(Map.take(@shown, [:heat, :mark, :way, :folded, :selected, :plots]))
+             )
   end
 
   test "nothing folded is not the same as nothing said of it" do

@@ -1,0 +1,50 @@
+defmodule Situ.Studio.PipelineView.Marking do
+  @moduledoc """
+  Connections that are highlighted in a pipeline's graph, the others being faded: those of one delivery policy, or those
+  whose producer waits. Pure.
+
+      iex> alias Situ.Studio.PipelineView.Marking
+      iex> for mark <- ["none", "throttle", "latest", "waits"], do: Marking.faded?(mark, "throttle(8)", true)
+      [false, false, true, false]
+  """
+
+  # As `Situ.Delivery.name/1` tells them.
+  @choices [
+    {"none", "nothing"},
+    {"unlimited", "unlimited"},
+    {"latest", "latest message"},
+    {"throttle", "throttle"},
+    {"synchronous", "synchronous or throttle"},
+    {"max_latency", "latency constrained"},
+    {"max_queue", "queue size constrained"},
+    {"waits", "producer waits"}
+  ]
+  @directions [
+    {"LR", "left to right"},
+    {"TB", "top to bottom"},
+    {"RL", "right to left"},
+    {"BT", "bottom to top"}
+  ]
+
+  @doc "All that can be highlighted, with its name."
+  @spec choices() :: [{String.t(), String.t()}]
+  def choices, do: @choices
+
+  @doc "The ways a graph can run."
+  @spec directions() :: [{String.t(), String.t()}]
+  def directions, do: @directions
+
+  @doc "Whether a connection is not among those that are highlighted; one drawn for several has all their policies."
+  @spec faded?(String.t(), String.t() | nil, boolean()) :: boolean()
+  def faded?("none", _policy, _waits?), do: false
+  def faded?("waits", _policy, waits?), do: not waits?
+
+  def faded?("synchronous", policy, waits?),
+    do: policy not in ["synchronous"] and faded?("throttle", policy, waits?)
+
+  def faded?(mark, policy, _waits?) do
+    (policy || "")
+    |> String.split(", ")
+    |> Enum.all?(&(&1 != mark and not String.starts_with?(&1, mark <> "(")))
+  end
+end
