@@ -44,6 +44,7 @@ export function drawShapes(ctx, { shapes: s, vis, index }, map) {
   const own = vis.color ?? index;
   ctx.font = FONT;
   ctx.lineWidth = props.width ?? 2;
+  for (const past of s.trail ?? []) trail(ctx, past, (id) => seriesColor(props.color, id ?? own), map);
   (s.rects ?? []).forEach(([x, y, w, h, label, score, id], i) => {
     const color = seriesColor(props.color, Number.isInteger(id) ? id : own + i);
     const left = Math.min(map.x(x), map.x(x + w));
@@ -76,6 +77,25 @@ export function drawShapes(ctx, { shapes: s, vis, index }, map) {
 }
 
 // A text in a box; whole as long as the canvas is wide enough.
+// Where things were: the older, the paler.
+function trail(ctx, [age, points, lines], color, map) {
+  ctx.globalAlpha = 0.15 + 0.65 * (1 - age);
+  for (const [x, y, id] of points) {
+    ctx.fillStyle = color(id);
+    ctx.beginPath();
+    ctx.arc(map.x(x), map.y(y), 1.5, 0, 2 * Math.PI);
+    ctx.fill();
+  }
+  ctx.strokeStyle = color(null);
+  ctx.beginPath();
+  for (const [a, b, c, d] of lines) {
+    ctx.moveTo(map.x(a), map.y(b));
+    ctx.lineTo(map.x(c), map.y(d));
+  }
+  ctx.stroke();
+  ctx.globalAlpha = 1;
+}
+
 export function tag(ctx, text, left, y, color) {
   const w = ctx.measureText(text).width + 10;
   const x = Math.max(Math.min(left, (ctx.canvas?.clientWidth || Infinity) - w), Math.min(left, 0));

@@ -245,17 +245,22 @@ defmodule Situ.Studio.Film do
     color = Enum.at(@palette, rem(own, length(@palette)))
     radius = if length(shapes["points"]) > 100, do: 1, else: 2.5
 
+    across = fn x -> if film.flip, do: image.width - x, else: x end
+
+    lines =
+      for [a, b, c, d] <- shapes["lines"],
+          do: {:line, {across.(a), b}, {across.(c), d}, color: color, width: 2}
+
     points =
-      for [x, y, _label] <- shapes["points"] do
-        {:fill_circle, {if(film.flip, do: image.width - x, else: x), y}, radius, color: color}
-      end
+      for [x, y, _label] <- shapes["points"],
+          do: {:fill_circle, {across.(x), y}, radius, color: color}
 
     texts =
       for {text, i} <- Enum.with_index(shapes["texts"]) do
         {:text, {8, 12 + 22 * i}, text, color: :white, background: color, size: 12}
       end
 
-    List.flatten(rects) ++ points ++ texts
+    List.flatten(rects) ++ lines ++ points ++ texts
   end
 
   defp text(parts), do: parts |> Enum.reject(&(&1 in [nil, ""])) |> Enum.join("  ")

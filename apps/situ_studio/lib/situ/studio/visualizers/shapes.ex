@@ -1,21 +1,27 @@
 defmodule Situ.Studio.Visualizers.Shapes do
   @moduledoc """
-  Rectangles, points, lines and texts over pictures, found in any term: a `Situ.Rect`, a `Situ.Point2`, lists, tuples
-  and
-  maps of them, and structs that have some in their fields (a face with its box and landmarks).
+  Rectangles, points, lines and texts over pictures, found in any term: a `Situ.Rect`, a `Situ.Point2`, a line (a pair
+  of points, or a map of two points `from` and `to`), lists, tuples and maps of them, and structs that have some in
+  their fields (a face with its box and landmarks). A trail of some seconds shows where they have been.
 
   A struct whose points are packed offers them through `points/1` of its module, as `[{x, y}]`.
 
       iex> Situ.Studio.Visualizers.Shapes.of([%Situ.Point2{x: 1.0, y: 2.0}])
-      %{"points" => [[1.0, 2.0, nil]], "rects" => [], "texts" => []}
+      %{"lines" => [], "points" => [[1.0, 2.0, nil]], "rects" => [], "texts" => []}
+      iex> point = &%Situ.Point2{x: &1, y: &2}
+      iex> Situ.Studio.Visualizers.Shapes.of([{point.(1, 2), point.(3, 4)}, nil])["lines"]
+      [[1, 2, 3, 4]]
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, Visualizer}
+  alias Situ.Studio.{Frame, Path, Source, Visualizer}
   alias Situ.Studio.Visualizers.Option
 
   @limit 5_000
   @depth 6
+  # A trail is made of so many messages, and of so many things in each.
+  @past 300
+  @trailed 200
 
   @impl true
   def about do
@@ -25,7 +31,8 @@ defmodule Situ.Studio.Visualizers.Shapes do
         [
           labels: [type: :boolean, title: "Labels", default: true],
           width: [type: {:range, 0.5, 8}, title: "Width", default: 2],
-          radius: [type: {:range, 0.5, 20}, title: "Point radius"]
+          radius: [type: {:range, 0.5, 20}, title: "Point radius"],
+          trail: [type: {:range, 0, 60}, title: "Trail, s", default: 0]
         ] ++ Option.near()
 
     %Visualizer{
@@ -34,20 +41,59 @@ defmodule Situ.Studio.Visualizers.Shapes do
       panel: :image,
       shapes: [:shapes],
       options: options,
-      asks: Option.asks()
+      asks: [:trail | Option.asks()]
     }
   end
 
   @impl true
-  def instant(channel, data, message),
-    do: Frame.json(channel, message.originating_time, of(data))
+  def instant(channel, data, %{originating_time: time}, %{source: source, spec: spec}) do
+    shapes = of(data)
+
+    case spec[:props] do
+      %{"trail" => seconds} when is_number(seconds) and seconds > 0 ->
+        trail = trail(source, spec, {time - round(seconds * 1.0e9), time})
+        Frame.json(channel, time, Map.put(shapes, "trail", trail))
+
+      _ ->
+        Frame.json(channel, time, shapes)
+    end
+  end
+
+  # Where things were before: the part of the trail that has gone by since (1 at its end), and what was there then.
+  defp trail(source, spec, {from, to}) do
+    for %{originating_time: time, data: data} <- before(source, spec.stream, from, to - 1),
+        {:ok, data} <- [Path.fetch(data, spec.path)] do
+      shapes = of(data)
+      middle = for [x, y, w, h, _, _, id] <- shapes["rects"], do: [x + w / 2, y + h / 2, id]
+      points = for [x, y, _] <- shapes["points"], do: [x, y, nil]
+      age = Float.round((to - time) / max(to - from, 1), 3)
+      [age, Enum.take(middle ++ points, @trailed), Enum.take(shapes["lines"], @trailed)]
+    end
+  end
+
+  defp before(source, stream, from, to) do
+    case Source.call(source, :messages, [stream, from, to, @past]) do
+      {:ok, messages, :all} -> messages
+      {:ok, _, :more} -> sample(source, stream, from, to)
+      _ -> []
+    end
+  end
+
+  defp sample(source, stream, from, to) do
+    case Source.sample(source, stream, from, to, @past) do
+      {:ok, rows} -> Enum.map(rows, &elem(&1, 1))
+      _ -> []
+    end
+  end
 
   @doc "The shapes to draw, as the page reads them."
   @spec of(term()) :: map()
   def of(term) do
     {rects, points, texts, _} = walk(term, nil, {[], [], [], @limit}, 0)
+    {lines, points} = Enum.split_with(points, &match?([_, _, _, _], &1))
 
     %{
+      "lines" => Enum.reverse(lines),
       "rects" => Enum.reverse(rects),
       "points" => Enum.reverse(points),
       "texts" => Enum.reverse(texts)
@@ -80,6 +126,11 @@ defmodule Situ.Studio.Visualizers.Shapes do
   defp walk(%Situ.Point2{x: x, y: y}, label, {rects, points, texts, left}, _)
        when is_number(x) and is_number(y),
        do: {rects, [[x, y, text(label)] | points], texts, left - 1}
+
+  # Lines are kept among the points, from where `of/1` takes them.
+  defp walk({%Situ.Point2{} = a, %Situ.Point2{} = b}, _, acc, _), do: line(a, b, acc)
+
+  defp walk(%{from: %Situ.Point2{} = a, to: %Situ.Point2{} = b}, _, acc, _), do: line(a, b, acc)
 
   defp walk(%module{}, _, acc, _) when module in [Situ.Image, Situ.AudioBuffer, Situ.DepthImage],
     do: acc
@@ -114,6 +165,12 @@ defmodule Situ.Studio.Visualizers.Shapes do
     do: tuple |> Tuple.to_list() |> Enum.reduce(acc, &walk(&1, label, &2, depth + 1))
 
   defp walk(_, _, acc, _), do: acc
+
+  defp line(%{x: a, y: b}, %{x: c, y: d}, {rects, points, texts, left})
+       when is_number(a) and is_number(b) and is_number(c) and is_number(d),
+       do: {rects, [[a, b, c, d] | points], texts, left - 1}
+
+  defp line(_, _, acc), do: acc
 
   # A file may claim anything to be a mesh: one that its own module cannot read is not drawn.
   defp packed(module, struct, left) do
