@@ -6,6 +6,9 @@ import { drawable, savePicture, saveVector } from "./picture_file.js";
 import { groupItems, streamItems } from "./stream_menu.js";
 import { annotationItems } from "../annotation/menu.js";
 
+// Drawers that show the message at the cursor.
+const HELD = ["image", "depth", "shapes", "masks", "text", "value", "bars"];
+
 export function menuItems(app, target, event) {
   const node = target.closest(".node[data-stream]");
   if (node) return streamItems(app, node);

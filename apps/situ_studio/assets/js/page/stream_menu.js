@@ -90,9 +90,6 @@ function folding(app, node) {
   ];
 }
 
-// Drawers that show the message at the cursor.
-const HELD = ["image", "depth", "shapes", "masks", "text", "value", "bars"];
-
 const short = (text) => (text.length > 32 ? `${text.slice(0, 31)}…` : text);
 
 // A stream's name in an expression; for a derived stream its expression, to be changed.
