@@ -119,6 +119,17 @@ test("10 annotation: edges are dragged, neighbours that touch go along; proposal
   const [first, second] = await items(page);
   near(first[1], 24.3 * S, 0.3 * S, "to the mouse");
   equal(first[1], second[0], "and the neighbour's with it");
+  // with a snapped cursor an edge goes to a message of that stream
+  await page.evaluate(() => window.situStudio.snapTo("Vad.Speaking"));
+  await page.mouse.move(end, row);
+  await page.mouse.down();
+  await page.mouse.move(end + 31, row, { steps: 4 });
+  await page.mouse.up();
+  await until(page, (to) => window.situStudio.annotation.told.items[0].to !== to, "it has moved again", first[1]);
+  const [[, snapped]] = await items(page);
+  equal(await page.evaluate((t) => window.situStudio.nearest(t + 2), snapped), snapped, "to a message");
+  ok(snapped > first[1], "further on");
+  await page.evaluate(() => window.situStudio.snapTo(null));
   await page.click("#tree .node[data-stream='Vad.Speaking']", { button: "right" });
   await page.click("#menu button:has-text('Propose annotations')");
   await until(
@@ -276,6 +287,7 @@ test("10 annotation: the schema is edited, annotations follow; notes and confide
   // what an annotation says cannot be taken away
   await page.click(".annotation-tools button:text('Schema…')");
   await page.click("#schema button[aria-label='Remove talks']");
+  await until(page, () => !document.querySelector("#schema button[aria-label='Remove talks']"), "the value is gone");
   await page.click("#schema button[type=submit]");
   await until(page, () => document.querySelector("#schema .error")?.textContent.includes("talks"), "and it says so");
   await page.keyboard.press("Escape");

@@ -153,9 +153,9 @@ test("6 datasets: a moved recording is found again, a part is saved, a copy of t
   );
   await menu(page, "p03", "Unfold all below it");
   await menu(page, "Room", "Take another recording for it…");
-  await page.check("#relocate label:has-text('broken.0000') input");
+  await page.check("#relocate label:has-text('many.0000') input");
   await page.click("#relocate button[type=submit]");
-  await onDisk(() => session("p03").partitions[0].path === "broken.0000", "the other place is in the file");
+  await onDisk(() => session("p03").partitions[0].path === "many.0000", "the other place is in the file");
   await until(page, () => !document.querySelector("#tree .trouble"), "and nothing is missing any more");
   await menu(page, "Room", "Save a part as a recording…");
   await page.fill("#part [name=name]", "ten seconds");

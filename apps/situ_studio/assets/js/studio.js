@@ -173,14 +173,25 @@ export class Studio {
 
   async stepOnce(name) {
     const dir = name === "back" || name === "jumpBack" ? "previous" : "next";
-    const q = new URLSearchParams({ stream: this.client.snap, at: this.client.abs(this.time.get().cursor), dir });
+    const to = await this.message(dir, this.time.get().cursor);
+    if (to != null) this.time.dispatch({ type: "nudge", by: to - this.time.get().cursor });
+  }
+
+  // The time of the snapped stream's message before or after a time; null where there is none.
+  async message(dir, t) {
+    const q = new URLSearchParams({ stream: this.client.snap, at: this.client.abs(t), dir });
     const r = await fetch(`${this.options.stepUrl()}&${q}`);
-    if (!r.ok) return;
-    const t = (await r.json()).time;
-    if (t != null) {
-      const to = this.client.rel(BigInt(t));
-      this.time.dispatch({ type: "nudge", by: to - this.time.get().cursor });
-    }
+    const time = r.ok ? (await r.json()).time : null;
+    return time == null ? null : this.client.rel(BigInt(time));
+  }
+
+  // The time of the snapped stream's message nearest to a time, as far as one is in view; else the time itself.
+  async nearest(t) {
+    if (!this.client.snap) return t;
+    const [from, to] = this.time.get().view;
+    const found = await Promise.all([this.message("previous", t + 1), this.message("next", t)]);
+    const seen = found.filter((m) => m != null && m >= from && m <= to);
+    return seen.sort((a, b) => Math.abs(a - t) - Math.abs(b - t))[0] ?? t;
   }
 
   listen() {

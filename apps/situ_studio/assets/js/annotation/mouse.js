@@ -7,7 +7,7 @@ import { shown } from "../time/clock.js";
 export const near = (e) => (e.pointerType === "touch" ? 14 : 5);
 
 // An edge follows the mouse; the annotation that touches it goes along, but with the Alt key. It snaps to changes of
-// the other panels, but with the Shift key.
+// the other panels, and to the messages of the stream that the cursor snaps to, but with the Shift key.
 export function dragEdge(panel, e, item, edge) {
   const { el, app } = panel;
   e.stopImmediatePropagation();
@@ -22,7 +22,10 @@ export function dragEdge(panel, e, item, edge) {
     const { drag } = panel;
     panel.drag = null;
     app.schedule(panel);
-    if (keep && drag) panel.moveEdge(item, edge, drag.t, m.altKey);
+    if (!keep || !drag) return;
+    const put = (t) => panel.moveEdge(item, edge, t, m.altKey);
+    if (m.shiftKey) put(drag.t);
+    else app.nearest(drag.t).then(put, () => put(drag.t));
   };
   // a touch that becomes a scroll moves nothing
   const on = [
