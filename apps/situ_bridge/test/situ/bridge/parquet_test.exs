@@ -9,6 +9,7 @@ defmodule Situ.Bridge.ParquetTest do
   doctest Runs
   doctest Deltas
   doctest Leaf
+  doctest Situ.Bridge.Gzip
 
   @theirs for kind <- 1..2,
               do: Path.expand("../../data/parquet/pyarrow-#{kind}.parquet", __DIR__)

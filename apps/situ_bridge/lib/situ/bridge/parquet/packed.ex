@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Parquet.Packed do
   @moduledoc false
   # Unpacks a compressed page, to at most the bytes that its header promises. Throws `{:not_parquet, why}`.
   import Situ.Bits, only: [known: 1]
-  alias Situ.Bridge.Native
+  alias Situ.Bridge.{Gzip, Native}
   alias Situ.Bridge.Parquet.Thrift
 
   @names %{3 => "LZO", 4 => "Brotli", 5 => "LZ4 (the old kind)"}
@@ -32,25 +32,11 @@ defmodule Situ.Bridge.Parquet.Packed do
   defp exactly(_bytes, _size), do: fail("a page unpacks to another size")
 
   defp gunzip(bytes, size) do
-    z = :zlib.open()
-
-    try do
-      :zlib.inflateInit(z, 31)
-      inflate(z, :zlib.safeInflate(z, bytes), size, [])
-    rescue
-      ErlangError -> fail("a page packed by gzip that is not")
-    after
-      :zlib.close(z)
+    case Gzip.unpack(bytes, size) do
+      {:ok, bytes} -> bytes
+      {:error, :too_large} -> fail("a page unpacks to more than it says")
+      {:error, :not_gzip} -> fail("a page packed by gzip that is not")
     end
-  end
-
-  defp inflate(_z, {:finished, out}, _size, all),
-    do: IO.iodata_to_binary(Enum.reverse([out | all]))
-
-  defp inflate(z, {:continue, out}, size, all) do
-    left = size - IO.iodata_length(out)
-    if left < 0, do: fail("a page unpacks to more than it says")
-    inflate(z, :zlib.safeInflate(z, []), left, [out | all])
   end
 
   # Snappy (https://github.com/google/snappy/blob/main/format_description.txt): literals, and copies of what was there.

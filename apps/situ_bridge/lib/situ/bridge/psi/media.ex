@@ -66,7 +66,7 @@ defmodule Situ.Bridge.Psi.Media do
          "pixelFormat" => code
        })
        when is_integer(w) and w > 0 and is_integer(h) and h > 0 do
-    with {:ok, rows} <- gunzip(packed, min(h * (w * 8 + 64), @most_unpacked)),
+    with {:ok, rows} <- Situ.Bridge.Gzip.unpack(packed, min(h * (w * 8 + 64), @most_unpacked)),
          do:
            Situ.Image.new(
              width: w,
@@ -93,32 +93,6 @@ defmodule Situ.Bridge.Psi.Media do
   end
 
   defp make(_shape, _fields), do: :error
-
-  defp gunzip(packed, most) do
-    z = :zlib.open()
-
-    try do
-      :zlib.inflateInit(z, 31)
-      inflate(z, :zlib.safeInflate(z, packed), most, [])
-    rescue
-      ErlangError -> :error
-    after
-      :zlib.close(z)
-    end
-  end
-
-  defp inflate(_z, {:finished, out}, most, all) do
-    bytes = IO.iodata_to_binary(Enum.reverse([out | all]))
-    if byte_size(bytes) <= most, do: {:ok, bytes}, else: :error
-  end
-
-  defp inflate(z, {:continue, out}, most, all) do
-    left = most - IO.iodata_length(out)
-
-    if left < 0,
-      do: :error,
-      else: inflate(z, :zlib.safeInflate(z, []), left, [out | all])
-  end
 
   defp size(fields),
     do: [width: fields["width"], height: fields["height"], stride: fields["stride"]]

@@ -11,6 +11,29 @@ defmodule Situ.Studio.Visualizers.Option do
   @spec flip() :: keyword()
   def flip, do: [flip: [type: :boolean, title: "Mirror", default: false]]
 
+  @ranges [
+    {"auto", "each picture's own range"},
+    {"fixed", "a fixed range"},
+    {"all", "all 16 bits"},
+    {"nfov_binned", "Azure Kinect, narrow, binned"},
+    {"nfov", "Azure Kinect, narrow"},
+    {"wfov_binned", "Azure Kinect, wide, binned"},
+    {"wfov", "Azure Kinect, wide"}
+  ]
+  @values {:range, 0, 65_535}
+
+  # Which distances the colours of a depth picture span, by a choice called `name` and two numbers for its "fixed".
+  @spec depth_range(atom(), keyword()) :: keyword()
+  def depth_range(name, about) do
+    fixed = {name, "fixed"}
+
+    [
+      {name, [type: {:in, @ranges}, default: "auto"] ++ about},
+      min: [type: @values, title: "from", default: 0, only: fixed],
+      max: [type: @values, title: "to", default: 65_535, only: fixed]
+    ]
+  end
+
   @longest 1.0e6
 
   # Which message counts as that of the cursor: the last one at or before it, or one that is near enough.

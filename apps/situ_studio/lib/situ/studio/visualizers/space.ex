@@ -27,17 +27,7 @@ defmodule Situ.Studio.Visualizers.Space do
     {"3000000", "3 million"},
     {"10000000", "10 million"}
   ]
-  @ranges [
-    {"auto", "each picture's own range"},
-    {"fixed", "a fixed range"},
-    {"all", "all 16 bits"},
-    {"nfov_binned", "Azure Kinect, narrow, binned"},
-    {"nfov", "Azure Kinect, narrow"},
-    {"wfov_binned", "Azure Kinect, wide, binned"},
-    {"wfov", "Azure Kinect, wide"}
-  ]
   @texts [{"viewer", "facing the viewer"}, {"plane", "in their plane"}]
-  @values {:range, 0, 65_535}
   @depths [{"points", "points"}, {"surface", "a surface"}, {"picture", "a picture"}]
 
   @impl true
@@ -69,15 +59,13 @@ defmodule Situ.Studio.Visualizers.Space do
           ],
           over: [type: :boolean, title: "Over the rest", default: false],
           depth_as: [type: {:in, @depths}, title: "Depth as", default: "points"],
-          sparsity: [type: {:range, 1, 50}, title: "Every n-th pixel of depth", default: 1],
-          depth_range: [
-            type: {:in, @ranges},
-            title: "Range of depth",
-            default: "auto",
-            only: {:depth_as, "picture"}
-          ],
-          min: [type: @values, title: "from", default: 0, only: {:depth_range, "fixed"}],
-          max: [type: @values, title: "to", default: 65_535, only: {:depth_range, "fixed"}],
+          sparsity: [type: {:range, 1, 50}, title: "Every n-th pixel of depth", default: 1]
+        ] ++
+        Option.depth_range(:depth_range,
+          title: "Range of depth",
+          only: {:depth_as, "picture"}
+        ) ++
+        [
           focal: [
             type: {:range, 1, 20_000},
             title: "Focal length of pictures without a lens, px",

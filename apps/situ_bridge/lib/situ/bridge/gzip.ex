@@ -1,0 +1,36 @@
+defmodule Situ.Bridge.Gzip do
+  @moduledoc false
+  # Unpacks gzip step by step, to at most so many bytes: few packed bytes must not become all of the memory.
+
+  @doc """
+      iex> packed = :zlib.gzip("aaaaaaaaaa")
+      iex> {Situ.Bridge.Gzip.unpack(packed, 10), Situ.Bridge.Gzip.unpack(packed, 9)}
+      {{:ok, "aaaaaaaaaa"}, {:error, :too_large}}
+      iex> Situ.Bridge.Gzip.unpack("no gzip", 9)
+      {:error, :not_gzip}
+  """
+  @spec unpack(binary(), non_neg_integer()) ::
+          {:ok, binary()} | {:error, :too_large | :not_gzip}
+  def unpack(packed, most) do
+    z = :zlib.open()
+
+    try do
+      :zlib.inflateInit(z, 31)
+      inflate(z, :zlib.safeInflate(z, packed), most, [])
+    rescue
+      ErlangError -> {:error, :not_gzip}
+    after
+      :zlib.close(z)
+    end
+  end
+
+  defp inflate(z, {state, out}, most, all) do
+    left = most - IO.iodata_length(out)
+
+    cond do
+      left < 0 -> {:error, :too_large}
+      state == :finished -> {:ok, IO.iodata_to_binary(Enum.reverse([out | all]))}
+      true -> inflate(z, :zlib.safeInflate(z, []), left, [out | all])
+    end
+  end
+end
