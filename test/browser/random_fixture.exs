@@ -11,7 +11,8 @@ defmodule RandomFixture do
   def record(folder, told, recordings) do
     seed =
       String.to_integer(
-        System.get_env("SEED") || "#{rem(System.os_time(:millisecond), 1_000_000)}"
+        System.get_env("SEED") || System.get_env("SITU_SEED") ||
+          "#{rem(System.os_time(:millisecond), 1_000_000)}"
       )
 
     :rand.seed(:exsss, {seed, 1, 1})

@@ -1,11 +1,9 @@
-//! Resizing, by the `fast_image_resize` crate.
+//! Resizing, by the `fast_image_resize` crate (compiled in `situ_resize`).
 
 use crate::area;
-use crate::error::{fail, Code, Error, Result};
+use crate::error::{Code, Error, Result};
 use crate::picture::{Format, Shape, View};
-use fast_image_resize::images::{TypedImage, TypedImageRef};
-use fast_image_resize::pixels::{U16x4, U8x3, U8x4, U16, U8};
-use fast_image_resize::{FilterType, PixelTrait, ResizeAlg, ResizeOptions, Resizer};
+use situ_resize::{resize_pixels, FilterType, PixelLayout, ResizeAlg, ResizeOptions};
 
 /// Which pixels of the source make one of the result, and by which weights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,47 +52,23 @@ pub fn resize(src: &View, shape: Shape, filter: Filter, out: &mut [u8]) -> Resul
     let options = ResizeOptions::new()
         .resize_alg(algorithm(filter))
         .use_alpha(src.shape.format.has_alpha() && filter != Filter::Nearest);
-    let job = Job {
-        from: src.shape,
-        bytes,
-        to: shape,
-        options,
-    };
-    match src.shape.format {
-        Format::Gray8 => job.run::<U8>(out),
-        Format::Gray16 => job.run::<U16>(out),
-        Format::Bgr24 | Format::Rgb24 => job.run::<U8x3>(out),
-        Format::Bgrx32 | Format::Bgra32 | Format::Rgba32 => job.run::<U8x4>(out),
-        Format::Rgba64 => job.run::<U16x4>(out),
-    }
+    let from = (src.shape.width as u32, src.shape.height as u32);
+    let to = (shape.width as u32, shape.height as u32);
+    resize_pixels(layout(src.shape.format), (from, bytes), (to, out), &options).map_err(|what| {
+        Error {
+            code: Code::Failed,
+            what,
+        }
+    })
 }
 
-struct Job<'a> {
-    from: Shape,
-    bytes: &'a [u8],
-    to: Shape,
-    options: ResizeOptions,
-}
-
-impl Job<'_> {
-    /// By type, for our kinds of pixels alone: the crate's own choice at run time compiles the kernels of all thirteen,
-    /// which is minutes.
-    fn run<P: PixelTrait>(&self, out: &mut [u8]) -> Result<()> {
-        let source = TypedImageRef::<P>::from_buffer(
-            self.from.width as u32,
-            self.from.height as u32,
-            self.bytes,
-        );
-        let target = TypedImage::<P>::from_buffer(self.to.width as u32, self.to.height as u32, out);
-        let (Ok(source), Ok(mut target)) = (source, target) else {
-            return fail(Code::Failed, "the resizer refused the buffers");
-        };
-        Resizer::new()
-            .resize_typed(&source, &mut target, &self.options)
-            .map_err(|e| Error {
-                code: Code::Failed,
-                what: format!("resizing failed: {e}"),
-            })
+fn layout(format: Format) -> PixelLayout {
+    match format {
+        Format::Gray8 => PixelLayout::U8,
+        Format::Gray16 => PixelLayout::U16,
+        Format::Bgr24 | Format::Rgb24 => PixelLayout::U8x3,
+        Format::Bgrx32 | Format::Bgra32 | Format::Rgba32 => PixelLayout::U8x4,
+        Format::Rgba64 => PixelLayout::U16x4,
     }
 }
 

@@ -1,0 +1,100 @@
+//! Resizing by the `fast_image_resize` crate, for the pixel layouts that Situ has.
+//!
+//! The kernels of that crate are generic, so they are compiled in the crate that calls them, which takes more than a
+//! minute. They have this crate to themselves: no change to `situ_media`, and none of its tests, compiles them again.
+
+#![deny(missing_docs)]
+
+use fast_image_resize::images::{TypedImage, TypedImageRef};
+use fast_image_resize::pixels::{U16x4, U8x3, U8x4, U16, U8};
+use fast_image_resize::{PixelTrait, Resizer};
+
+pub use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions};
+
+/// The layout of one pixel: how many channels, and how wide each is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PixelLayout {
+    /// One channel of 8 bits.
+    U8,
+    /// Three channels of 8 bits.
+    U8x3,
+    /// Four channels of 8 bits, the last of them alpha where the options use it.
+    U8x4,
+    /// One channel of 16 bits.
+    U16,
+    /// Four channels of 16 bits, the last of them alpha where the options use it.
+    U16x4,
+}
+
+/// An image's width and height in pixels.
+pub type Size = (u32, u32);
+
+/// Resizes `source`, rows of `from` without padding, to `to` into `target`. 16-bit layouts need 2-byte alignment.
+/// An error says why the buffers were refused.
+pub fn resize_pixels(
+    layout: PixelLayout,
+    (from, source): (Size, &[u8]),
+    (to, target): (Size, &mut [u8]),
+    options: &ResizeOptions,
+) -> Result<(), String> {
+    match layout {
+        PixelLayout::U8 => resize_typed::<U8>(from, source, to, target, options),
+        PixelLayout::U8x3 => resize_typed::<U8x3>(from, source, to, target, options),
+        PixelLayout::U8x4 => resize_typed::<U8x4>(from, source, to, target, options),
+        PixelLayout::U16 => resize_typed::<U16>(from, source, to, target, options),
+        PixelLayout::U16x4 => resize_typed::<U16x4>(from, source, to, target, options),
+    }
+}
+
+// By type, for our layouts alone: the crate's own choice at run time compiles the kernels of all thirteen.
+fn resize_typed<P: PixelTrait>(
+    from: Size,
+    source: &[u8],
+    to: Size,
+    target: &mut [u8],
+    options: &ResizeOptions,
+) -> Result<(), String> {
+    let source = TypedImageRef::<P>::from_buffer(from.0, from.1, source);
+    let target = TypedImage::<P>::from_buffer(to.0, to.1, target);
+    let (Ok(source), Ok(mut target)) = (source, target) else {
+        return Err("the resizer refused the buffers".to_string());
+    };
+    Resizer::new()
+        .resize_typed(&source, &mut target, options)
+        .map_err(|error| format!("resizing failed: {error}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn options() -> ResizeOptions {
+        ResizeOptions::new().resize_alg(ResizeAlg::Nearest)
+    }
+
+    #[test]
+    fn nearest_takes_pixels_of_the_source() {
+        let mut target = [0; 6];
+        let source = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12];
+        let result = resize_pixels(
+            PixelLayout::U8x3,
+            ((4, 1), &source),
+            ((2, 1), &mut target),
+            &options(),
+        );
+        assert_eq!(result, Ok(()));
+        assert_eq!(target, [4, 5, 6, 10, 11, 12]);
+    }
+
+    #[test]
+    fn a_short_buffer_is_refused() {
+        let mut target = [0; 6];
+        let result = resize_pixels(
+            PixelLayout::U8x3,
+            ((4, 1), &[0; 11]),
+            ((2, 1), &mut target),
+            &options(),
+        );
+        assert_eq!(result, Err("the resizer refused the buffers".to_string()));
+    }
+}
