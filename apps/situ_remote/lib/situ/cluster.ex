@@ -52,6 +52,10 @@ defmodule Situ.Cluster do
   `"rest"` and with parts that record. The log of a finished deployment stays until `prune/2` deletes it. An upgrade
   does not change the graph.
 
+  The log has the deployments too, so nodes that were all lost at once run them again when they are back, but for those
+  that have ended or were forgotten. Its entries are sealed with the cluster's cookie: one that somebody else wrote,
+  changed or moved is never data, and the part that meets it fails with the reason.
+
   ## Options of `deploy/2`
 
   #{Situ.Options.docs(Situ.Cluster.Deployment.schema())}
@@ -61,7 +65,8 @@ defmodule Situ.Cluster do
   #{Situ.Options.docs(Situ.Cluster.Deployment.place_schema())}
   """
   alias Situ.Cluster.{Agent, Assembly, Balance, Balancer, Chunk, Deployment, Logs, Overview}
-  alias Situ.Cluster.{Past, Placement, Plan, Recordings, Runner, Upgrade, Vitals, Whole}
+  alias Situ.Cluster.{Deployments, Past, Placement, Plan, Recordings, Runner, Runners}
+  alias Situ.Cluster.{Seal, SealedLog, Upgrade, Vitals, Whole}
   alias Situ.{Error, Options, Pipeline}
   alias Situ.Remote.Log
 
@@ -84,6 +89,9 @@ defmodule Situ.Cluster do
       doc: "A folder whose recordings every node may open (`Situ.Cluster.Recordings`)."
     ]
   ]
+
+  # A busy cluster is to be looked at, too.
+  @answer_ms 5_000
 
   @typedoc "The result of `deploy/2`; it is valid on every node."
   @type t :: Deployment.t()
@@ -127,8 +135,7 @@ defmodule Situ.Cluster do
   def deploy(module, opts \\ []) do
     with {:ok, deployment} <- Deployment.new(module, opts),
          :ok <- member(),
-         :ok <- Agent.deploy(deployment),
-         do: {:ok, deployment}
+         do: Agent.deploy(deployment)
   end
 
   defp member do
@@ -149,11 +156,13 @@ defmodule Situ.Cluster do
   def await(%Deployment{} = deployment, timeout \\ :infinity) do
     with {:ok, plan} <- Assembly.plan(deployment) do
       till = if timeout == :infinity, do: :infinity, else: now() + timeout
-      await(Agent.log(), deployment, Map.keys(plan.parts), till)
+      await(log(deployment), deployment, Map.keys(plan.parts), till)
     end
   end
 
-  # A failed part is reported at once, even while others run.
+  defp log(%Deployment{run: run}), do: SealedLog.new(Agent.log(), run || "")
+
+  # A failed part is reported at once, even while others run; so is a note of its state that is not its own.
   defp await(log, deployment, parts, till) do
     states =
       for part <- parts, do: {part, Log.last(log, {:key, Runner.key(deployment, part, "state")})}
@@ -166,7 +175,10 @@ defmodule Situ.Cluster do
     failed =
       for {part, {:ok, %{head: %{"State" => "failed"}, data: text}}} <- states, do: {part, text}
 
+    forged = for {_, {:error, error}} <- states, Seal.refusal?(error), do: error
+
     cond do
+      forged != [] -> {:error, hd(forged)}
       failed != [] -> {:error, failure(deployment, hd(failed))}
       open == [] -> :ok
       till != :infinity and now() > till -> {:error, late(deployment, hd(open))}
@@ -192,7 +204,7 @@ defmodule Situ.Cluster do
   @doc "The messages of a stream that are in the log: one that crosses from part to part, or is in `publish:`."
   @spec read(t(), String.t()) :: {:ok, [Situ.Message.t()]} | {:error, Error.t()}
   def read(%Deployment{} = deployment, stream),
-    do: read(Agent.log(), {:stream, "#{deployment.name}.#{stream}"}, 1, [])
+    do: read(log(deployment), {:stream, "#{deployment.name}.#{stream}"}, 1, [])
 
   defp read(log, subject, from, read) do
     case Log.read(log, subject, from, 64) do
@@ -227,7 +239,7 @@ defmodule Situ.Cluster do
   end
 
   @doc "Takes a deployment away on all nodes, at once; its log stays."
-  @spec forget(t()) :: :ok
+  @spec forget(t()) :: :ok | {:error, Error.t()}
   def forget(%Deployment{name: name}), do: Agent.forget(name)
 
   @doc "Lists, for each deployment, running or ended, how much the cluster's log keeps of it."
@@ -246,7 +258,9 @@ defmodule Situ.Cluster do
          {:ok, kept} <- Past.find(all, name),
          {:ok, tries} <- over(Enum.find(Agent.info().deployments, &(&1.name == name))),
          :ok <- unused(kept, wait, tries),
-         do: Past.delete(Agent.log(), kept)
+         {:ok, deleted} <- Past.delete(Agent.log(), kept),
+         :ok <- Deployments.delete(Agent.log(), name),
+         do: {:ok, deleted}
   end
 
   # Other nodes may write a lease once more until they have heard that it is forgotten.
@@ -271,10 +285,13 @@ defmodule Situ.Cluster do
   """
   @spec status(t()) :: %{members: map(), parts: %{String.t() => map()}}
   def status(%Deployment{} = deployment) do
-    infos =
-      for {node, runners} <- everywhere(deployment), {part, runner} <- runners do
-        {part, node, runner_info(runner)}
-      end
+    asked =
+      for {node, runners} <- everywhere(deployment),
+          {part, runner} <- runners,
+          do: {part, node, runner}
+
+    answers = asked |> Enum.map(&elem(&1, 2)) |> Runners.infos(@answer_ms)
+    infos = Enum.zip_with(asked, answers, fn {part, node, _}, info -> {part, node, info} end)
 
     parts =
       for {part, entries} <- Enum.group_by(infos, &elem(&1, 0)), into: %{} do
@@ -316,7 +333,7 @@ defmodule Situ.Cluster do
         stood = for {_, other} <- others, do: {other, away(other)}
         # Also a node that was drained takes what it is given.
         :ok = Runner.stand(runner, 0)
-        for {other, away} <- stood, do: Runner.release(other, away + 1)
+        for {other, away} <- stood, do: Runner.release(other, away + 1, self())
         answer = settle(deployment, part, to, now() + 60_000)
         for {other, away} <- stood, do: Runner.stand(other, away)
         answer
@@ -452,16 +469,14 @@ defmodule Situ.Cluster do
       {:error, Error.new(:unreachable, "#{node} is lost: #{inspect(reason, limit: 5)}")}
   end
 
+  # A node that does not answer in time has none.
   defp everywhere(deployment) do
-    for {node, _} <- Agent.info().members, into: %{} do
-      {node, remote_runners(node, deployment.name)}
-    end
-  end
+    nodes = Map.keys(Agent.info().members)
 
-  defp remote_runners(node, name) do
-    Agent.runners({Agent, node}, name)
-  catch
-    :exit, _ -> %{}
+    {answers, _silent} =
+      GenServer.multi_call(nodes, Agent, {:runners, deployment.name}, @answer_ms)
+
+    Map.merge(Map.new(nodes, &{&1, %{}}), Map.new(answers))
   end
 
   @doc "How a pipeline would be cut into parts: their components' names, the streams between them."

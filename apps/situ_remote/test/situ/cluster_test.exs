@@ -4,6 +4,7 @@ defmodule Situ.ClusterTest do
   alias Situ.{Cluster, Pipeline}
   alias Situ.Cluster.Past
   alias Situ.Test.{ClusterSums, NatsServer}
+  import Situ.Remote.Test.Recordings, only: [eventually: 1]
 
   @moduletag :tmp_dir
   @moduletag capture_log: true
@@ -173,5 +174,135 @@ defmodule Situ.ClusterTest do
     assert :ok = Cluster.await(deployment, 60_000)
     assert read(deployment, "Result") == alone(count: 600)
     assert Cluster.status(deployment).parts["Sum"].phase == :done
+  end
+
+  defp raw(dir), do: elem(Situ.Remote.Log.connect(dir), 1)
+
+  # As somebody does who reaches the log and has no cookie: behind whatever is there, until it is taken.
+  defp forge(log, subject, entry, last \\ 0) do
+    case Situ.Remote.Log.append(log, subject, last, entry) do
+      {:refused, last} -> forge(log, subject, entry, last.seq)
+      {:ok, seq} -> seq
+    end
+  end
+
+  @forged [
+    fence: %{"Epoch" => "999999", "Kind" => "fence", "Last" => "0"},
+    close: %{"Epoch" => "999999", "Kind" => "fence", "Last" => "0", "Closing" => "1"}
+  ]
+
+  for {what, head} <- @forged do
+    test "a #{what} that nobody of the cluster has written ends the part with the reason", %{
+      tmp_dir: dir
+    } do
+      deployment = slow(dir)
+      running(deployment.name, "Sum")
+
+      [name | _] =
+        for {name, %{part: "Sum"}} <- Cluster.Agent.plan(deployment.name).streams, do: name
+
+      subject = {:stream, "#{deployment.name}.#{name}"}
+      entry = %Situ.Remote.Log.Entry{op: "x", head: unquote(Macro.escape(head))}
+      forge(raw(dir), subject, entry)
+      assert {:error, error} = Cluster.await(deployment, 60_000)
+      assert error.code == :part_failed
+      assert Exception.message(error) =~ "has no seal"
+      assert {:error, %{code: :unsealed_entry}} = Cluster.read(deployment, name)
+    end
+  end
+
+  test "a lease that nobody of the cluster has written is taken over", %{tmp_dir: dir} do
+    deployment = slow(dir)
+    running(deployment.name, "Sum")
+    key = {:key, Cluster.Runner.key(deployment, "Sum", "lease")}
+    forge(raw(dir), key, %Situ.Remote.Log.Entry{op: "x", head: %{"Node" => "evil@host"}})
+    assert :ok = Cluster.await(deployment, 60_000)
+    assert read(deployment, "Result") == alone(count: 600)
+  end
+
+  test "an end of a part that was noted by nobody of the cluster is no end", %{tmp_dir: dir} do
+    deployment = slow(dir)
+    running(deployment.name, "Sum")
+    key = {:key, Cluster.Runner.key(deployment, "Sum", "state")}
+    forge(raw(dir), key, %Situ.Remote.Log.Entry{op: "x", head: %{"State" => "done"}})
+    assert {:error, %{code: :unsealed_entry}} = Cluster.await(deployment, 60_000)
+  end
+
+  test "after all nodes were lost the deployments run again, but for those that have ended", %{
+    tmp_dir: dir
+  } do
+    deployment = slow(dir)
+    running(deployment.name, "Sum")
+    stop_supervised!(Cluster)
+    start_supervised!({Cluster, log: dir})
+    eventually(fn -> Cluster.Agent.info().deployments == [deployment] end)
+    assert :ok = Cluster.await(deployment, 60_000)
+    assert read(deployment, "Result") == alone(count: 600)
+    # The same once more changes nothing; another of that name is refused.
+    assert {:error, %{code: :duplicate_name}} = Cluster.deploy(ClusterSums, opts: [count: 3])
+    stop_supervised!(Cluster)
+    start_supervised!({Cluster, log: dir})
+    :ok = Cluster.DeploymentLoader.run(raw(dir), Cluster.Agent, false)
+    assert Cluster.Agent.info().deployments == []
+  end
+
+  test "a deployment that was forgotten does not come back", %{tmp_dir: dir} do
+    deployment = slow(dir)
+    running(deployment.name, "Sum")
+    assert :ok = Cluster.forget(deployment)
+    stop_supervised!(Cluster)
+    start_supervised!({Cluster, log: dir})
+    :ok = Cluster.DeploymentLoader.run(raw(dir), Cluster.Agent, false)
+    assert Cluster.Agent.info().deployments == []
+  end
+
+  test "forgetting 40 parts holds up nobody", %{tmp_dir: dir} do
+    start_supervised!({Cluster, log: dir})
+    agent = Process.whereis(Cluster.Agent)
+
+    {:ok, deployment} =
+      Cluster.deploy(Situ.Test.ClusterFan,
+        opts: [parts: 40],
+        place: for(i <- 1..40, do: {"P#{i}", on: "nowhere", only: true}),
+        pipeline: @pipeline
+      )
+
+    runners = Map.values(Cluster.Agent.runners(deployment.name))
+    assert length(runners) > 40
+    # These take their time: the agent must not.
+    for runner <- runners, do: :sys.suspend(runner)
+    asked = Task.async(fn -> Cluster.forget(deployment) end)
+    eventually(fn -> Cluster.Agent.info().deployments == [] end)
+    assert Enum.all?(runners, &Process.alive?/1)
+    for runner <- runners, do: :sys.resume(runner)
+    assert :ok = Task.await(asked, 30_000)
+    refute Enum.any?(runners, &Process.alive?/1)
+    assert Process.whereis(Cluster.Agent) == agent
+  end
+
+  test "a node stands where it stood when the process that moves a part has gone", %{tmp_dir: dir} do
+    deployment = slow(dir)
+    {runner, _} = running(deployment.name, "Sum")
+    mover = spawn(fn -> receive do: (:never -> :ok) end)
+    :ok = Cluster.Runner.stand(runner, 2)
+    :ok = Cluster.Runner.stand(runner, 3, mover)
+    assert Cluster.Runner.info(runner).away == 3
+    Process.exit(mover, :kill)
+    eventually(fn -> Cluster.Runner.info(runner).away == 2 end)
+  end
+
+  test "one part that does not answer hides no other from the status", %{tmp_dir: dir} do
+    deployment = slow(dir)
+    {runner, _} = running(deployment.name, "Sum")
+    running(deployment.name, "Smooth")
+    :sys.suspend(runner)
+
+    assert [%{}, %{phase: :running}] =
+             Cluster.Runners.infos(
+               [runner, Cluster.Agent.runners(deployment.name)["Smooth"]],
+               200
+             )
+
+    :sys.resume(runner)
   end
 end

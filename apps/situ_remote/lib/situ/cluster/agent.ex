@@ -5,7 +5,8 @@ defmodule Situ.Cluster.Agent do
   # deployment, on every node, and the lease says which of them runs it.
   use GenServer
 
-  alias Situ.Cluster.{Assembly, Logs, Member, Placement, Runner, Vitals}
+  alias Situ.Cluster.{Assembly, DeploymentLoader, Deployments, Logs, Member, Runner, Runners}
+  alias Situ.Cluster.{Placement, SealedLog, Vitals}
 
   require Logger
 
@@ -28,13 +29,28 @@ defmodule Situ.Cluster.Agent do
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts, name: __MODULE__)
 
-  @spec deploy(GenServer.server(), Situ.Cluster.Deployment.t()) :: :ok | {:error, Situ.Error.t()}
+  @doc "Notes a deployment in the log, and runs it; with its run."
+  @spec deploy(GenServer.server(), Situ.Cluster.Deployment.t()) ::
+          {:ok, Situ.Cluster.Deployment.t()} | {:error, Situ.Error.t()}
   def deploy(agent \\ __MODULE__, deployment) do
-    with :ok <- GenServer.call(agent, {:deploy, deployment}, 60_000) do
+    log = log(agent)
+
+    with {:ok, _plan} <- Assembly.plan(deployment),
+         {:ok, deployment} <- Deployments.put(log, deployment),
+         :ok <- kept(GenServer.call(agent, {:deploy, deployment}, 60_000), log, deployment) do
       others = Map.keys(info(agent).members) -- [node()]
-      if others != [], do: spread(others, deployment, @spread_times), else: :ok
+      if others != [], do: spread(others, deployment, @spread_times)
+      {:ok, deployment}
     end
   end
+
+  # A deployment that does not run here is not to come back after a restart.
+  defp kept({:error, %{code: code} = error}, log, deployment) when code != :duplicate_name do
+    _ = Deployments.forget(log, deployment.name)
+    {:error, error}
+  end
+
+  defp kept(answer, _log, _deployment), do: answer
 
   # It is deployed when another node knows it too: this one may be lost the next moment.
   defp spread(others, deployment, 0) do
@@ -49,8 +65,11 @@ defmodule Situ.Cluster.Agent do
   end
 
   @doc "Takes a deployment away, on all nodes."
-  @spec forget(GenServer.server(), String.t()) :: :ok
-  def forget(agent \\ __MODULE__, name), do: GenServer.call(agent, {:forget, name}, 60_000)
+  @spec forget(GenServer.server(), String.t()) :: :ok | {:error, Situ.Error.t()}
+  def forget(agent \\ __MODULE__, name) do
+    :ok = GenServer.call(agent, {:forget, name}, 60_000)
+    Deployments.forget(log(agent), name)
+  end
 
   @doc "Members, deployments, and what runs here."
   @spec info(GenServer.server()) :: map()
@@ -79,10 +98,13 @@ defmodule Situ.Cluster.Agent do
     :ok = Logs.start()
     {:ok, _} = Vitals.start_link(opts[:devices] || [])
     for {module, arg} <- opts[:beside] || [], do: {:ok, _} = module.start_link(arg)
+    :ok = Member.create_table()
     {:ok, supervisor} = DynamicSupervisor.start_link(strategy: :one_for_one, max_restarts: 100)
     state = %__MODULE__{log: opts[:log], labels: opts[:labels], supervisor: supervisor}
     for node <- Node.list(), do: hello(state, node, true)
-    {:ok, %{state | members: %{node() => opts[:labels]}}}
+    state = put_members(state, %{node() => opts[:labels]})
+    {:ok, _} = DeploymentLoader.start_link({state.log, self()})
+    {:ok, state}
   end
 
   defp hello(state, node, answer?) do
@@ -104,16 +126,13 @@ defmodule Situ.Cluster.Agent do
   def handle_call({:install, deployment}, _from, state),
     do: {:reply, :ok, installed(state, deployment)}
 
-  def handle_call({:forget, name}, _from, state) do
+  def handle_call({:forget, name}, from, state) do
     others(state, {:forget, name})
-    {:reply, :ok, remove(state, name)}
+    {:noreply, remove(state, name, fn -> GenServer.reply(from, :ok) end)}
   end
 
-  def handle_call({:rank, rule, part}, _from, state),
-    do: {:reply, Placement.rank(members(state), rule, part, node()), state}
-
   def handle_call({:plan, name}, _from, state), do: {:reply, state.plans[name], state}
-  def handle_call(:known, _from, state), do: {:reply, members(state), state}
+  def handle_call(:known, _from, state), do: {:reply, Member.all(), state}
 
   def handle_call({:runners, name}, _from, state) do
     {:reply, for({{^name, part}, pid} <- state.runners, into: %{}, do: {part, pid}), state}
@@ -136,12 +155,9 @@ defmodule Situ.Cluster.Agent do
      }, state}
   end
 
-  defp members(state) do
-    vitals = Vitals.all()
-
-    Map.new(state.members, fn {node, labels} ->
-      {node, vitals |> Map.get(node, %{}) |> Map.put(:labels, labels) |> Placement.member()}
-    end)
+  defp put_members(state, members) do
+    Member.put_all(members)
+    %{state | members: members}
   end
 
   defp free(state, deployment) do
@@ -150,39 +166,51 @@ defmodule Situ.Cluster.Agent do
         :ok
 
       deployments when is_map_key(deployments, deployment.name) ->
-        {:error, taken(deployment.name)}
+        {:error, Deployments.taken(deployment.name)}
 
       _ ->
         :ok
     end
   end
 
-  defp taken(name) do
-    Situ.Error.new(:duplicate_name, "there is already a deployment #{inspect(name)}",
-      fix: "give this one another name:, or stop that one"
-    )
-  end
-
   @impl true
   def handle_cast({:hello, node, labels, deployments, routes, answer?}, state) do
     if answer?, do: hello(state, node, false)
-    state = %{state | members: Map.put(state.members, node, labels)}
+    state = put_members(state, Map.put(state.members, node, labels))
     state = Enum.reduce(deployments, state, &installed(&2, &1))
     {:noreply, Enum.reduce(routes, state, fn {p, e, pid}, state -> routed(state, p, e, pid) end)}
   end
 
   def handle_cast({:install, deployment}, state), do: {:noreply, installed(state, deployment)}
-  def handle_cast({:forget, name}, state), do: {:noreply, remove(state, name)}
+  def handle_cast({:forget, name}, state), do: {:noreply, remove(state, name, fn -> :ok end)}
 
   def handle_cast({:route, part, epoch, pid, how}, state) do
     if how == :tell, do: others(state, {:route, part, epoch, pid, :told})
     {:noreply, routed(state, part, epoch, pid)}
   end
 
-  def handle_cast({:runs, part, runner}, state) when is_map_key(state.runners, part),
-    do: {:noreply, put_in(state.runners[part], runner)}
+  # Its supervisor has started it again; nobody waits for one of a deployment that was forgotten.
+  def handle_cast({:runs, part, runner}, state) do
+    case state.runners do
+      %{^part => known} when known != runner ->
+        if Process.alive?(known), do: Runner.dismiss(runner)
 
-  def handle_cast({:runs, _part, _runner}, state), do: {:noreply, state}
+        {:noreply,
+         if(Process.alive?(known), do: state, else: put_in(state.runners[part], runner))}
+
+      %{^part => _itself} ->
+        {:noreply, state}
+
+      _ ->
+        Runner.dismiss(runner)
+        {:noreply, state}
+    end
+  end
+
+  def handle_cast({:lease, part, seq, owner}, state) do
+    with %{^part => runner} <- state.runners, do: send(runner, {:situ_lease, seq, owner})
+    {:noreply, state}
+  end
 
   # Reading a stream of a part: the process hears where it is published, now and whenever that changes.
   @impl true
@@ -203,8 +231,11 @@ defmodule Situ.Cluster.Agent do
   end
 
   def handle_info({:nodedown, node}, state) do
+    if is_map_key(state.members, node),
+      do: Logger.warning("the node #{node} is gone: others take its parts over")
+
     for {_, runner} <- state.runners, do: Runner.down(runner, node)
-    {:noreply, %{state | members: Map.delete(state.members, node)}}
+    {:noreply, put_members(state, Map.delete(state.members, node))}
   end
 
   def handle_info(_other, state), do: {:noreply, state}
@@ -247,7 +278,7 @@ defmodule Situ.Cluster.Agent do
       runners =
         for {part, _} <- plan.parts, into: state.runners do
           args = %{
-            log: state.log,
+            log: SealedLog.new(state.log, deployment.run),
             deployment: deployment,
             part: part,
             plan: plan,
@@ -264,9 +295,11 @@ defmodule Situ.Cluster.Agent do
     end
   end
 
-  defp remove(state, name) do
+  # A runner may take its time: this process does not wait for any.
+  defp remove(state, name, done) do
     {gone, kept} = Enum.split_with(state.runners, fn {{of, _}, _} -> of == name end)
-    for {_, pid} <- gone, do: DynamicSupervisor.terminate_child(state.supervisor, pid)
+    pids = for {_, pid} <- gone, do: pid
+    {:ok, _} = Task.start_link(fn -> Runners.dismiss(pids) && done.() end)
     runners = Map.new(kept)
     routes = Map.reject(state.routes, fn {{of, _}, _} -> of == name end)
     deployments = Map.delete(state.deployments, name)

@@ -63,7 +63,7 @@ defmodule Situ.Cluster.Checkpoint do
     number = Entry.integer(entry, "Number", 0)
 
     with true <- number > checkpoint.number,
-         {:ok, current} <- Seal.open(IO.iodata_to_binary(entry.data)),
+         {:ok, current} <- Seal.decode_term(entry),
          true <- borne_out?(current, marks) do
       %{checkpoint | current: current, number: number}
     else
@@ -88,7 +88,7 @@ defmodule Situ.Cluster.Checkpoint do
     entry = %Entry{
       op: "#{checkpoint.key}.#{epoch}.#{number}",
       head: %{"Epoch" => Integer.to_string(epoch), "Number" => Integer.to_string(number)},
-      data: Seal.close(current)
+      data: Seal.encode_term(current)
     }
 
     case Log.append(log, {:key, "#{checkpoint.key}.#{slot}"}, checkpoint.seqs[slot], entry) do

@@ -1,6 +1,7 @@
 defmodule Situ.Cluster.Chunk do
   @moduledoc false
-  # Messages of one stream as entries of the log, and back. The head says what is in it:
+  # Messages of one stream as entries of the log, and back. The log seals head and data together
+  # (`Situ.Cluster.SealedLog`). The head says what is in it:
   #
   #   First, Last   sequence ids (a fence has Last alone: where the stream stands)
   #   Time, Made    originating and creation time of the last message
@@ -40,7 +41,7 @@ defmodule Situ.Cluster.Chunk do
   def data(batches, mark, epoch, op) do
     first = with [%{first: id} | _] <- batches, do: id, else: (_ -> mark.last + 1)
     head = Map.merge(head(mark, epoch), %{"Kind" => "data", "First" => Integer.to_string(first)})
-    %Entry{op: op, head: head, data: Seal.close(for(batch <- batches, do: batch.body))}
+    %Entry{op: op, head: head, data: Seal.encode_term(for(batch <- batches, do: batch.body))}
   end
 
   defp head(mark, epoch) do
@@ -55,12 +56,12 @@ defmodule Situ.Cluster.Chunk do
     for {key, value} <- pairs, value != nil, into: %{}, do: {key, Integer.to_string(value)}
   end
 
-  @doc "The messages of an entry."
+  @doc "The messages of an entry that was read from a sealed log."
   @spec messages(Entry.t()) :: {:ok, [Message.t()]} | {:error, Situ.Error.t()}
   def messages(%Entry{data: ""}), do: {:ok, []}
 
   def messages(%Entry{} = entry) do
-    with {:ok, bodies} <- Seal.open(IO.iodata_to_binary(entry.data)) do
+    with {:ok, bodies} <- Seal.decode_term(entry) do
       rows = Enum.flat_map(bodies, &Batch.rows/1)
       {:ok, Batch.messages(rows, Entry.integer(entry, "First", 1))}
     end

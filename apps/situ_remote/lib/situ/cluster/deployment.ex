@@ -74,7 +74,8 @@ defmodule Situ.Cluster.Deployment do
 
   @enforce_keys [:name, :module, :opts, :rules, :checkpoint, :lease] ++
                   [:retain, :balance, :publish, :direct, :pipeline]
-  defstruct @enforce_keys
+  # `run` is given to it when it is noted in the log (`Situ.Cluster.Deployments`).
+  defstruct [:run | @enforce_keys]
 
   @type rule :: %{
           on: [node() | String.t() | {:near, String.t()}],
@@ -82,6 +83,7 @@ defmodule Situ.Cluster.Deployment do
           deterministic: boolean()
         }
   @type t :: %__MODULE__{
+          run: String.t() | nil,
           name: String.t(),
           module: module(),
           opts: keyword(),

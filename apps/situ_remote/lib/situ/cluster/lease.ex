@@ -5,18 +5,23 @@ defmodule Situ.Cluster.Lease do
   # No clocks are compared: the lease is free when its number has not changed for the lease's time on the observer's own
   # clock. A look that took longer than a lease, or that comes late, says nothing about the owner: the observer starts
   # counting again.
+  alias Situ.Error
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
 
-  defstruct [:seq, :since, :looked, :owner, gone: false]
+  defstruct [:seq, :since, :looked, :owner, gone: false, took: 0]
 
-  @typedoc "`seq` has been the lease's number since `since` (ms); `gone`: the owner's node was reported down."
+  @typedoc """
+  `seq` has been the lease's number since `since` (ms); `gone`: the owner's node was reported down; `took`: how long the
+  last look took, ms.
+  """
   @type t :: %__MODULE__{
           seq: non_neg_integer() | nil,
           since: integer() | nil,
           looked: integer() | nil,
           owner: String.t() | nil,
-          gone: boolean()
+          gone: boolean(),
+          took: non_neg_integer()
         }
 
   @doc """
@@ -38,6 +43,7 @@ defmodule Situ.Cluster.Lease do
     since = if same?, do: lease.since + slow, else: now
     gone? = lease.gone and lease.seq == seq
     lease = %{lease | seq: seq, owner: owner, since: since, looked: now, gone: gone?}
+    lease = %{lease | took: now - before}
 
     free? =
       cond do
@@ -48,6 +54,14 @@ defmodule Situ.Cluster.Lease do
 
     {if(free?, do: :take, else: :wait), lease}
   end
+
+  @doc """
+  The owner has said, by the connection between the nodes, that it wrote the lease under `seq`. This comes later than
+  the write itself, so to count from here is safe; the log need not be looked at.
+  """
+  @spec hear(t(), pos_integer(), String.t(), integer()) :: t()
+  def hear(%__MODULE__{} = lease, seq, owner, now),
+    do: %{lease | seq: seq, owner: owner, since: now, looked: now, gone: false}
 
   @doc "A node was reported down. This is only a hint; the fence makes it safe."
   @spec down(t(), node()) :: t()
@@ -61,9 +75,19 @@ defmodule Situ.Cluster.Lease do
   def look(log, key) do
     before = now()
 
-    with {:ok, entry} <- Log.last(log, {:key, key}) do
-      owner = if entry, do: Map.get(entry.head, "Node", "")
-      {:ok, {if(entry, do: entry.seq, else: 0), owner, before, now()}}
+    case Log.last(log, {:key, key}) do
+      {:ok, entry} ->
+        owner = if entry, do: Map.get(entry.head, "Node", "")
+        {:ok, {if(entry, do: entry.seq, else: 0), owner, before, now()}}
+
+      # Somebody else has written it, or an older version. It is free when its time is over, as that of a node which was
+      # lost; the next owner's number is larger, so nothing hangs on what it says.
+      {:error, %Error{code: code, meta: %{seq: seq}}}
+      when code in [:forged_entry, :unsealed_entry] ->
+        {:ok, {seq, "nobody of this cluster", before, now()}}
+
+      {:error, error} ->
+        {:error, error}
     end
   end
 
@@ -87,17 +111,27 @@ defmodule Situ.Cluster.Lease do
   Keeps it, in a process of its own: writes it every quarter of its time. When it is lost, or three quarters of it have
   passed without an answer of the log, `publisher` is killed at once, and this process ends with `:lease_lost`: a node
   that is cut off stops before its lease ends. Told `{:release, from}` it gives the lease back and says `:released`.
+  `tell` is called with each number that it has written, and with `:free`.
   """
-  @spec keep(Log.t(), String.t(), pos_integer(), pos_integer(), pid()) :: no_return()
-  def keep(log, key, seq, ms, publisher) do
+  @spec keep(
+          Log.t(),
+          String.t(),
+          pos_integer(),
+          pos_integer(),
+          {pid(), (pos_integer() | :free -> term())}
+        ) ::
+          no_return()
+  def keep(log, key, seq, ms, {publisher, tell}) do
     Process.flag(:trap_exit, true)
-    keep(%{log: log, key: key, ms: ms, publisher: publisher}, seq, now())
+    tell.(seq)
+    keep(%{log: log, key: key, ms: ms, publisher: publisher, tell: tell}, seq, now())
   end
 
   defp keep(lease, seq, written) do
     receive do
       {:release, from} ->
         release(lease.log, lease.key, seq)
+        lease.tell.(:free)
         send(from, :released)
 
       {:EXIT, _pid, reason} when reason != :normal ->
@@ -122,7 +156,11 @@ defmodule Situ.Cluster.Lease do
 
   defp till(lease, written), do: written + div(lease.ms * 3, 4)
 
-  defp kept({{:ok, seq}, started}, lease, _seq, _written), do: keep(lease, seq, started)
+  defp kept({{:ok, seq}, started}, lease, _seq, _written) do
+    lease.tell.(seq)
+    keep(lease, seq, started)
+  end
+
   defp kept({{:refused, _}, _started}, lease, _seq, _written), do: lost(lease)
   defp kept({:late, _started}, lease, _seq, _written), do: lost(lease)
 

@@ -1,9 +1,14 @@
 defmodule Situ.Cluster.Member do
   @moduledoc false
-  # The requests of a part's runner and of its pipeline's inlets to the cluster's agent on their node.
+  # The requests of a part's runner and of its pipeline's inlets to the cluster's agent on their node. None of them
+  # waits for the agent, so the agent may wait for any of them.
   #
   #   {:situ_cluster, :follow, part, pid}            an inlet wants to know where a part is published
   #   {:situ_cluster, :publisher, part, publisher}   there, now and whenever that changes
+
+  alias Situ.Cluster.{Agent, Placement, Vitals}
+
+  @table __MODULE__
 
   @type part :: {deployment :: String.t(), part :: String.t()}
 
@@ -16,9 +21,41 @@ defmodule Situ.Cluster.Member do
   @spec runs(GenServer.server(), part(), pid()) :: :ok
   def runs(agent, part, runner), do: GenServer.cast(agent, {:runs, part, runner})
 
+  @doc "The agent's table of members, read by all processes of the node."
+  @spec create_table() :: :ok
+  def create_table do
+    :ets.new(@table, [:named_table, :protected, read_concurrency: true])
+    :ok
+  end
+
+  @doc "The agent knows these members from now on, with their labels."
+  @spec put_all(%{node() => [String.t()]}) :: true
+  def put_all(members), do: :ets.insert(@table, {:members, members})
+
+  @doc "The members with what rules of place ask of them."
+  @spec all() :: Placement.members()
+  def all do
+    vitals = Vitals.all()
+
+    Map.new(:ets.lookup_element(@table, :members, 2), fn {node, labels} ->
+      {node, vitals |> Map.get(node, %{}) |> Map.put(:labels, labels) |> Placement.member()}
+    end)
+  end
+
   @doc "How much this node is preferred for a part (0: most), or `nil`."
-  @spec rank(GenServer.server(), map(), String.t()) :: non_neg_integer() | nil
-  def rank(agent, rule, part), do: GenServer.call(agent, {:rank, rule, part}, :infinity)
+  @spec rank(map(), String.t()) :: non_neg_integer() | nil
+  def rank(rule, part), do: Placement.rank(all(), rule, part, node())
+
+  @doc """
+  Tells the runners of a part on all other nodes that this one has written its lease, or has given it back. A node that
+  takes in nothing at the moment is not waited for: it looks at the log.
+  """
+  @spec tell_lease(part(), pos_integer() | :free) :: :ok
+  def tell_lease(part, seq) do
+    message = {:"$gen_cast", {:lease, part, seq, Atom.to_string(node())}}
+    for node <- Node.list(), do: :erlang.send({Agent, node}, message, [:nosuspend, :noconnect])
+    :ok
+  end
 
   @doc "Sends the caller the publisher of a part, now and whenever it changes."
   @spec follow(pid(), part()) :: term()

@@ -26,6 +26,9 @@ defmodule Situ.Cluster.Past do
           subjects: [Log.subject()]
         }
 
+  # Anybody who reaches the log can write how long a lease is.
+  @longest_ms 60_000
+
   @doc "Lists each deployment that has something in the log, by name."
   @spec list(Log.t()) :: {:ok, [t()]} | {:error, Error.t()}
   def list(log) do
@@ -142,7 +145,7 @@ defmodule Situ.Cluster.Past do
   @spec unused(Log.t(), t(), non_neg_integer()) :: :ok | {:error, Error.t()}
   def unused(log, kept, wait) do
     with {:ok, before, longest} <- leases(log, kept),
-         :ok <- pause(max(wait, div(longest, 2))),
+         :ok <- pause(max(wait, min(div(longest, 2), @longest_ms))),
          {:ok, ^before, _} <- leases(log, kept) do
       :ok
     else

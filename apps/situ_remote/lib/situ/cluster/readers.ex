@@ -6,11 +6,12 @@ defmodule Situ.Cluster.Readers do
   #
   # `keeping_up?/2` says whether a producer that can wait should: a reader that takes its messages as they are made
   # holds it, one that stands still or reads old messages out of the log does not.
-  alias Situ.Cluster.{Batch, Chunk, Outgoing}
+  alias Situ.Cluster.{Batch, Chunk, Outgoing, Seal}
   alias Situ.Delivery
   alias Situ.Delivery.Queue
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
+  require Logger
 
   # The producer waits for a reader that has so much before it, unless that has asked for nothing for so long.
   @behind 8_192
@@ -43,6 +44,7 @@ defmodule Situ.Cluster.Readers do
       queue: queue(out.policies[opts[:reader]]),
       weight: 0,
       dropped: 0,
+      told: false,
       asked: now(),
       monitor: Process.monitor(pid)
     }
@@ -243,7 +245,16 @@ defmodule Situ.Cluster.Readers do
         messages -> %{reader | ahead: messages}
       end
     else
+      {:error, error} -> refused(%{reader | next: nil}, error)
       _ -> %{reader | next: nil}
     end
+  end
+
+  # Nobody gets anything of what is not to be believed; the log may be put right meanwhile.
+  defp refused(reader, error) do
+    if Seal.refusal?(error) and not reader.told,
+      do: Logger.error("#{reader.part} waits for #{reader.name}: #{Exception.message(error)}")
+
+    %{reader | told: reader.told or Seal.refusal?(error)}
   end
 end

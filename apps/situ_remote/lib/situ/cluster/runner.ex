@@ -8,14 +8,11 @@ defmodule Situ.Cluster.Runner do
   #   failed    a component failed; nobody runs it again
   use GenServer, restart: :transient
 
-  alias Situ.Cluster.{Assembly, Deployment, Lease, Member, Plan, Publisher}
+  alias Situ.Cluster.{Assembly, Deployment, Lease, Member, Plan, Publisher, Seal, Standby}
   alias Situ.{Error, Pipeline}
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
   require Logger
-
-  # Of nodes: so many go before one that was drained.
-  @behind 10
 
   defstruct [
     :log,
@@ -29,10 +26,9 @@ defmodule Situ.Cluster.Runner do
     :pipeline,
     :monitor,
     :error,
+    :standby,
     phase: :standby,
-    lease: %Lease{},
-    checkpoints: %{taken: 0, refused: nil, possible?: true},
-    away: 0
+    checkpoints: %{taken: 0, refused: nil, possible?: true}
   ]
 
   @spec start_link(map()) :: GenServer.on_start()
@@ -48,14 +44,21 @@ defmodule Situ.Cluster.Runner do
 
   @doc """
   Gives the part away: a checkpoint, then the lease is free for the others. `away` is how far this node stands behind
-  them from then on: 0 not at all; of two drained ones the later one waits longer.
+  them from then on: 0 not at all; of two drained ones the later one waits longer. With a process `mover` it does so
+  only while that lives, and then stands where it stood.
   """
-  @spec release(pid(), non_neg_integer()) :: :ok
-  def release(runner, away), do: GenServer.call(runner, {:release, away}, :infinity)
+  @spec release(pid(), non_neg_integer(), pid() | nil) :: :ok
+  def release(runner, away, mover \\ nil),
+    do: GenServer.call(runner, {:release, away, mover}, :infinity)
 
   @doc "How far it stands behind from now on; what it has it keeps."
-  @spec stand(pid(), non_neg_integer()) :: :ok
-  def stand(runner, away), do: GenServer.call(runner, {:stand, away}, :infinity)
+  @spec stand(pid(), non_neg_integer(), pid() | nil) :: :ok
+  def stand(runner, away, mover \\ nil),
+    do: GenServer.call(runner, {:stand, away, mover}, :infinity)
+
+  @doc "Ends a runner; nobody starts it again."
+  @spec dismiss(pid()) :: :ok
+  def dismiss(runner), do: GenServer.cast(runner, :dismiss)
 
   @doc "Starts the part again where it is, from a checkpoint; with nothing to do where another node has it."
   @spec restart(pid()) :: :ok | {:error, Error.t()}
@@ -68,7 +71,8 @@ defmodule Situ.Cluster.Runner do
   @impl true
   def init(args) do
     Process.flag(:trap_exit, true)
-    state = struct!(__MODULE__, args)
+    standby = Standby.new(args.deployment.lease)
+    state = struct!(__MODULE__, Map.put(args, :standby, standby))
     # Its supervisor may have started it again.
     Member.runs(state.agent, {state.deployment.name, state.part}, self())
     send(self(), :look)
@@ -78,21 +82,27 @@ defmodule Situ.Cluster.Runner do
   # Standing by
 
   @impl true
-  def handle_info(:look, %{phase: :standby} = state) do
-    with rank when rank != nil <- rank(state),
+  def handle_info(:look, %{phase: :standby, standby: standby} = state) do
+    with rank when rank != nil <- Member.rank(rule(state), state.part),
          {:ok, look} <- Lease.look(state.log, key(state, "lease")),
-         times = %{lease: lease_ms(state), poll: poll_ms(state), wait: wait_ms(state, rank)},
-         {:take, lease} <- Lease.observe(state.lease, look, times),
-         {:ok, epoch} <-
-           Lease.take(state.log, key(state, "lease"), elem(look, 0), lease_ms(state)) do
-      {:noreply, own(%{state | lease: lease, epoch: epoch})}
+         {:take, standby} <- Standby.observe(standby, look, rank),
+         {:ok, epoch} <- take(state, look) do
+      note_takeover(state, elem(look, 1))
+      {:noreply, own(%{state | standby: standby, epoch: epoch})}
     else
-      {:wait, lease} -> {:noreply, look_again(%{state | lease: lease})}
-      _ -> {:noreply, look_again(state)}
+      {:wait, standby} -> {:noreply, %{state | standby: Standby.look_again(standby)}}
+      _ -> {:noreply, %{state | standby: Standby.look_again(standby)}}
     end
   end
 
   def handle_info(:look, state), do: {:noreply, state}
+
+  # The owner lives.
+  def handle_info({:situ_lease, seq, owner}, %{phase: :standby} = state) when is_integer(seq),
+    do: {:noreply, %{state | standby: Standby.hear(state.standby, seq, owner)}}
+
+  def handle_info({:situ_lease, :free, _owner}, %{phase: :standby} = state),
+    do: {:noreply, %{state | standby: Standby.look_in(state.standby, 0)}}
 
   def handle_info(:checkpoint, %{phase: :running} = state) do
     Process.send_after(self(), :checkpoint, div(state.deployment.checkpoint, 1_000_000))
@@ -108,6 +118,10 @@ defmodule Situ.Cluster.Runner do
     end
   end
 
+  # The process that moved the part has gone, done or not.
+  def handle_info({:DOWN, ref, :process, _, _}, state),
+    do: {:noreply, %{state | standby: Standby.give_back(state.standby, ref)}}
+
   def handle_info({:EXIT, pid, reason}, %{publisher: pid} = state),
     do: {:noreply, step_down(state, reason)}
 
@@ -117,11 +131,12 @@ defmodule Situ.Cluster.Runner do
   def handle_info(_other, state), do: {:noreply, state}
 
   @impl true
-  def handle_cast({:down, node}, state) do
-    state = %{state | lease: Lease.down(state.lease, node)}
-    if state.phase == :standby and state.lease.gone, do: send(self(), :look)
-    {:noreply, state}
-  end
+  def handle_cast({:down, node}, %{phase: :standby} = state),
+    do: {:noreply, %{state | standby: Standby.down(state.standby, node)}}
+
+  def handle_cast({:down, _node}, state), do: {:noreply, state}
+
+  def handle_cast(:dismiss, state), do: {:stop, {:shutdown, :forgotten}, state}
 
   def handle_cast(:stop, %{phase: :running, pipeline: p, plan: plan} = state) do
     if Plan.inlets(plan, state.part) == [], do: Task.start(fn -> Pipeline.stop(p) end)
@@ -138,7 +153,7 @@ defmodule Situ.Cluster.Runner do
        phase: state.phase,
        epoch: state.epoch,
        owner: owner(state),
-       away: state.away,
+       away: state.standby.away,
        error: state.error,
        checkpoints: state.checkpoints,
        publisher: published(state.publisher),
@@ -146,22 +161,21 @@ defmodule Situ.Cluster.Runner do
      }, state}
   end
 
-  def handle_call({:release, away}, _from, %{phase: phase} = state)
+  def handle_call({:release, away, mover}, _from, %{phase: phase} = state)
       when phase in [:running, :done] do
     state = if phase == :running, do: checkpoint(state), else: state
-    {:reply, :ok, %{let_go(state) | away: away}}
+    {:reply, :ok, let_go(lend(state, away, mover))}
   end
 
-  def handle_call({what, away}, _from, state) when what in [:release, :stand],
-    do: {:reply, :ok, %{state | away: away}}
+  def handle_call({what, away, mover}, _from, state) when what in [:release, :stand],
+    do: {:reply, :ok, lend(state, away, mover)}
 
   # New code: the plan is the same. One that does not start with it stands by, and is taken again with the code before.
   def handle_call(:restart, _from, %{phase: :running} = state) do
     state = state |> checkpoint() |> let_go()
 
     with {:ok, look} <- Lease.look(state.log, key(state, "lease")),
-         {:ok, epoch} <-
-           Lease.take(state.log, key(state, "lease"), elem(look, 0), lease_ms(state)) do
+         {:ok, epoch} <- take(state, look) do
       case own(%{state | epoch: epoch}, &{:refused, &1, &2}) do
         {:refused, state, error} -> {:reply, {:error, error}, let_go(state)}
         state -> {:reply, :ok, state}
@@ -173,6 +187,9 @@ defmodule Situ.Cluster.Runner do
   end
 
   def handle_call(:restart, _from, state), do: {:reply, :ok, state}
+
+  defp lend(state, away, mover),
+    do: %{state | standby: Standby.lend(state.standby, away, mover)}
 
   # A component fails when it cannot publish any more. The publisher's exit says why.
   defp left?(%{publisher: publisher}), do: not Process.alive?(publisher)
@@ -207,15 +224,35 @@ defmodule Situ.Cluster.Runner do
         run(state, Publisher.resume(publisher), failed)
 
       {:error, reason} ->
-        Logger.warning("#{name(state)}: not taken over: #{explain(reason)}")
-        look_again(%{state | epoch: nil, lease: %Lease{}})
+        not_taken(state, reason)
     end
+  end
+
+  # An entry that is not to be believed stays so: to try again would change nothing.
+  defp not_taken(state, {:shutdown, %Error{} = error} = reason),
+    do: if(Seal.refusal?(error), do: failed(state, error), else: stand_by(state, reason))
+
+  defp not_taken(state, reason), do: stand_by(state, reason)
+
+  defp stand_by(state, reason) do
+    Logger.warning("#{name(state)}: not taken over: #{explain(reason)}")
+    %{state | epoch: nil, standby: Standby.lost(state.standby)}
+  end
+
+  defp take(state, look),
+    do: Lease.take(state.log, key(state, "lease"), elem(look, 0), state.standby.ms)
+
+  defp note_takeover(state, owner) do
+    if owner not in [nil, "", Atom.to_string(node())],
+      do: Logger.warning("#{name(state)} goes on here: nothing is heard of #{owner} any more")
   end
 
   defp keep(state) do
     %{log: log, epoch: epoch, publisher: publisher} = state
-    {key, ms} = {key(state, "lease"), lease_ms(state)}
-    {:ok, keeper} = Task.start_link(fn -> Lease.keep(log, key, epoch, ms, publisher) end)
+    {key, ms} = {key(state, "lease"), state.standby.ms}
+    part = {state.deployment.name, state.part}
+    tell = &Member.tell_lease(part, &1)
+    {:ok, keeper} = Task.start_link(fn -> Lease.keep(log, key, epoch, ms, {publisher, tell}) end)
     %{state | keeper: keeper}
   end
 
@@ -312,7 +349,7 @@ defmodule Situ.Cluster.Runner do
 
   defp step_down(state, reason) do
     Logger.warning("#{name(state)} goes on elsewhere: #{explain(reason)}")
-    look_again(kill(state))
+    %{kill(state) | standby: Standby.lost(state.standby)}
   end
 
   defp kill(state) do
@@ -330,8 +367,7 @@ defmodule Situ.Cluster.Runner do
         publisher: nil,
         pipeline: nil,
         monitor: nil,
-        epoch: nil,
-        lease: %Lease{}
+        epoch: nil
     }
   end
 
@@ -344,30 +380,15 @@ defmodule Situ.Cluster.Runner do
     receive do
       :released -> :ok
     after
-      lease_ms(state) -> :ok
+      state.standby.ms -> :ok
     end
 
-    look_again(kill(state))
-  end
-
-  defp look_again(state) do
-    Process.send_after(self(), :look, poll_ms(state))
-    state
-  end
-
-  # Which node is preferred: 0 is the first; `nil`: never this one.
-  # A drained node waits behind the others, for some seconds; it takes a part that nobody else does.
-  defp rank(state) do
-    with rank when rank != nil <- Member.rank(state.agent, rule(state), state.part),
-         do: rank + @behind * state.away
+    %{kill(state) | standby: Standby.released(state.standby)}
   end
 
   defp rule(state), do: state.plan.parts[state.part].rule
   defp mode(state), do: if(rule(state).deterministic, do: :replay, else: :outbox)
-  defp lease_ms(state), do: max(div(state.deployment.lease, 1_000_000), 20)
-  defp poll_ms(state), do: max(div(lease_ms(state), 10), 5)
-  defp wait_ms(state, rank), do: rank * div(lease_ms(state), 2)
-  defp owner(%{phase: :standby} = state), do: state.lease.owner
+  defp owner(%{phase: :standby} = state), do: state.standby.lease.owner
   defp owner(_state), do: Atom.to_string(node())
   defp name(state), do: "#{state.deployment.name}/#{state.part} on #{node()}"
   defp explain({:shutdown, %Error{} = error}), do: Exception.message(error)

@@ -8,7 +8,7 @@ defmodule Situ.Cluster.Scribe do
   # has taken the part over.
   use GenServer
 
-  alias Situ.Cluster.{Batch, Checkpoint, Chunk}
+  alias Situ.Cluster.{Batch, Checkpoint, Chunk, Seal}
   alias Situ.Error
   alias Situ.Remote.Log
 
@@ -128,10 +128,9 @@ defmodule Situ.Cluster.Scribe do
       {:refused, _last} ->
         exit({:shutdown, refused(subject)})
 
-      {:error, %Error{code: :refused} = error} ->
-        exit({:shutdown, error})
+      {:error, %Error{} = error} ->
+        if error.code == :refused or Seal.refusal?(error), do: exit({:shutdown, error})
 
-      {:error, _error} ->
         receive do
         after
           @retry_ms -> patiently(write, subject)

@@ -54,9 +54,15 @@ defmodule Situ.Remote.Log do
   @callback connect(address :: String.t(), keyword()) ::
               {:ok, conn :: term()} | {:error, Error.t()}
 
-  @doc "Appends behind the entry `expected`; refused, with the last entry, when that is not the last one."
+  @doc """
+  Appends behind the entry `expected`; refused, with the last entry, when that is not the last one.
+  `{:counts_from, seq}` when the subject is empty since all its entries were too old: the next one goes behind `seq`.
+  """
   @callback append(conn :: term(), subject(), expected :: non_neg_integer(), Entry.t()) ::
-              {:ok, pos_integer()} | {:refused, Entry.t() | nil} | {:error, Error.t()}
+              {:ok, pos_integer()}
+              | {:refused, Entry.t() | nil}
+              | {:counts_from, pos_integer()}
+              | {:error, Error.t()}
 
   @doc "The last entry."
   @callback last(conn :: term(), subject()) :: {:ok, Entry.t() | nil} | {:error, Error.t()}
@@ -64,6 +70,12 @@ defmodule Situ.Remote.Log do
   @doc "Up to `most` entries, beginning with the first one that is at `from` or behind it."
   @callback read(conn :: term(), subject(), from :: pos_integer(), most :: pos_integer()) ::
               {:ok, [Entry.t()]} | {:error, Error.t()}
+
+  @doc """
+  The first entry that is at `from` or behind it, as the log's leader has it. Of a key the last two entries are kept.
+  """
+  @callback first(conn :: term(), subject(), from :: pos_integer()) ::
+              {:ok, Entry.t() | nil} | {:error, Error.t()}
 
   @doc "Deletes the entries before `seq`; the last one stays."
   @callback trim(conn :: term(), subject(), seq :: pos_integer()) :: :ok | {:error, Error.t()}
@@ -107,8 +119,10 @@ defmodule Situ.Remote.Log do
   @doc "Appends behind the entry `expected`; see `c:append/4`."
   @spec append(t(), subject(), non_neg_integer(), Entry.t()) ::
           {:ok, pos_integer()} | {:refused, Entry.t() | nil} | {:error, Error.t()}
-  def append(%__MODULE__{adapter: adapter, conn: conn}, subject, expected, entry),
-    do: adapter.append(conn, subject, expected, entry)
+  def append(%__MODULE__{adapter: adapter, conn: conn} = log, subject, expected, entry) do
+    with {:counts_from, seq} <- adapter.append(conn, subject, expected, entry),
+         do: append(log, subject, seq, entry)
+  end
 
   @doc "The last entry, or `nil`."
   @spec last(t(), subject()) :: {:ok, Entry.t() | nil} | {:error, Error.t()}

@@ -2,7 +2,7 @@ defmodule Situ.Cluster.BatchTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
-  alias Situ.Cluster.{Batch, Chunk}
+  alias Situ.Cluster.{Batch, Chunk, Seal}
   alias Situ.Message
 
   defp messages(first, sizes) do
@@ -25,12 +25,18 @@ defmodule Situ.Cluster.BatchTest do
       behind = Batch.behind(batch, cut)
       kept = if behind, do: Batch.messages(behind), else: []
       mark = %{last: batch.last, time: batch.time, made: batch.made, closing: nil}
-      entry = Chunk.data(parts(batch), mark, 1, "op")
+      entry = batch |> parts() |> Chunk.data(mark, 1, "op") |> through_log()
 
       Batch.messages(batch) == all and Batch.count(batch) == length(all) and
         kept == Enum.filter(all, &(&1.sequence_id > cut)) and
         Chunk.messages(entry) == {:ok, all} and Chunk.mark(entry) == mark
     end
+  end
+
+  defp through_log(entry) do
+    sealed = %{Seal.close(entry, "run", {:stream, "s"}, 6) | seq: 7}
+    {:ok, entry} = Seal.open(sealed, "run", {:stream, "s"})
+    entry
   end
 
   defp parts(%{first: id, last: id} = batch), do: [batch]

@@ -93,13 +93,16 @@ defmodule Situ.Cluster.InletTest do
     {:ok, plan} = Assembly.plan(deployment)
     links = %{agent: self(), publisher: self(), memories: %{}}
     {:ok, pipeline} = Assembly.start(deployment, plan, "Far", links)
-    assert_receive {:situ_cluster, :follow, part, inlet}, 5_000
+    assert_receive {:situ_cluster, :follow, part, inlet}, 60_000
     send(inlet, {:situ_cluster, :publisher, part, self()})
-    assert_receive {:"$gen_producer", {^inlet, ref}, {:subscribe, nil, _}}, 5_000
+    assert_receive {:"$gen_producer", {^inlet, ref}, {:subscribe, nil, _}}, 60_000
     ahead = Situ.Time.now() + Situ.Time.h(1)
     message = %{message(1, ahead) | originating_time: ahead}
     send(inlet, {:"$gen_consumer", {self(), ref}, [message]})
-    assert_receive {:"$gen_call", _, {:publish, _, [%{data: 2, originating_time: ^ahead}]}}, 5_000
+
+    assert_receive {:"$gen_call", _, {:publish, _, [%{data: 2, originating_time: ^ahead}]}},
+                   60_000
+
     Process.exit(pipeline, :kill)
   end
 end

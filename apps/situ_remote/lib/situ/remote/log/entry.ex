@@ -1,7 +1,7 @@
 defmodule Situ.Remote.Log.Entry do
   @moduledoc """
   One entry of a log: `op` names the write (unique), `head` is short text that says what `data` holds, `seq` its place
-  on the subject (`nil` before it is written).
+  on the subject (`nil` before it is written), `verified` whether somebody has checked who wrote it.
 
       iex> entry = %Situ.Remote.Log.Entry{op: "a.1", head: %{"Last" => "17"}, data: "..."}
       iex> Situ.Remote.Log.Entry.integer(entry, "Last", 0)
@@ -15,13 +15,14 @@ defmodule Situ.Remote.Log.Entry do
   @magic "SITULOG1"
 
   @enforce_keys [:op]
-  defstruct [:seq, :op, head: %{}, data: ""]
+  defstruct [:seq, :op, head: %{}, data: "", verified: false]
 
   @type t :: %__MODULE__{
           seq: pos_integer() | nil,
           op: String.t(),
           head: %{String.t() => String.t()},
-          data: iodata()
+          data: iodata(),
+          verified: boolean()
         }
 
   @doc "A number of the head."

@@ -144,6 +144,11 @@ defmodule Situ.Remote.Log.Folder do
   end
 
   @impl true
+  def first(%__MODULE__{} = log, subject, from) do
+    with {:ok, entries} <- read(log, subject, from, 1), do: {:ok, List.first(entries)}
+  end
+
+  @impl true
   def trim(%__MODULE__{} = log, subject, seq) do
     first = first(log, subject)
     last = Enum.max(numbers(log, subject), fn -> 0 end)

@@ -6,10 +6,10 @@ defmodule Situ.Remote.Log.Nats do
 
   Each stream has a JetStream stream of its own, made by its first entry: `SITU_S_NAME` (subject `situ.s.NAME`; what is
   no letter or digit in a name is written `=HEX`, a name of more than 200 characters as its SHA-256). The keys are one,
-  `SITU_KEYS` (`situ.k.NAME`, the last message of each). The condition of a write is `Nats-Expected-Last-Sequence`, for
-  keys `Nats-Expected-Last-Subject-Sequence`; the header `Situ-Op` is its name. A server that is lost is looked for
-  again, in the list and in turn; meanwhile everything answers `{:error, %Situ.Error{code: :log_away}}`, and may be
-  tried again as it is.
+  `SITU_KEYS` (`situ.k.NAME`, the last two messages of each). The condition of a write is
+  `Nats-Expected-Last-Sequence`, for keys `Nats-Expected-Last-Subject-Sequence`; the header `Situ-Op` is its name. A
+  server that is lost is looked for again, in the list and in turn; meanwhile everything answers
+  `{:error, %Situ.Error{code: :log_away}}`, and may be tried again as it is.
 
   The address may hold `user:password@` or `token@`. A stream costs its server two open files and about 80 KB of
   memory (ADR 0118): raise the server's limit of open files (`LimitNOFILE`) before you log some thousands.
@@ -121,15 +121,22 @@ defmodule Situ.Remote.Log.Nats do
       Map.merge(Map.take(log.config, ~w(storage num_replicas allow_direct)), %{
         "name" => log.stream <> "_KEYS",
         "subjects" => ["situ.k.>"],
-        "max_msgs_per_subject" => 1
+        "max_msgs_per_subject" => 2
       })
 
     with :ok <- not_older(log),
          {:error, %Error{code: :no_stream}} <- Api.info(log, keys["name"]) do
       Api.made(log, keys)
     else
-      {:ok, _info} -> :ok
-      error -> error
+      # One of an older version kept one entry of each.
+      {:ok, %{"config" => %{"max_msgs_per_subject" => 1} = config}} ->
+        Api.changed(log, %{config | "max_msgs_per_subject" => 2})
+
+      {:ok, _info} ->
+        :ok
+
+      error ->
+        error
     end
   end
 
@@ -195,10 +202,10 @@ defmodule Situ.Remote.Log.Nats do
   defp condition({:key, _}), do: "Nats-Expected-Last-Subject-Sequence"
 
   # Somebody else, or ourselves: then only the acknowledgement was lost.
-  defp appended(%{"error" => %{"err_code" => 10_071}}, log, subject, expected, %{op: op} = entry) do
+  defp appended(%{"error" => %{"err_code" => 10_071}}, log, subject, expected, %{op: op}) do
     case last(log, subject) do
       {:ok, %Entry{op: ^op, seq: seq}} -> {:ok, seq}
-      {:ok, nil} when expected == 0 -> append_to_aged(log, subject, entry)
+      {:ok, nil} when expected == 0 -> aged(log, subject)
       {:ok, last} -> {:refused, last}
       {:error, error} -> {:error, error}
     end
@@ -213,10 +220,10 @@ defmodule Situ.Remote.Log.Nats do
     do: {:error, Api.away("an answer that says nothing")}
 
   # All its entries were too old to be kept: it is empty, but counts on.
-  defp append_to_aged(log, subject, entry) do
+  defp aged(log, subject) do
     with {:ok, %{"state" => %{"last_seq" => seq}}} when seq > 0 <-
            Api.info(log, stream(log, subject)) do
-      append(log, subject, seq, entry)
+      {:counts_from, seq}
     else
       {:error, error} -> {:error, error}
       _ -> {:refused, nil}
@@ -240,8 +247,15 @@ defmodule Situ.Remote.Log.Nats do
 
   # Asked of the stream's leader: a replica may not have it yet.
   @impl true
-  def last(%__MODULE__{} = log, subject) do
-    body = JSON.encode(%{"last_by_subj" => name(subject)})
+  def last(%__MODULE__{} = log, subject),
+    do: get(log, subject, %{"last_by_subj" => name(subject)})
+
+  @impl true
+  def first(%__MODULE__{} = log, subject, from),
+    do: get(log, subject, %{"seq" => from, "next_by_subj" => name(subject)})
+
+  defp get(log, subject, question) do
+    body = JSON.encode(question)
 
     case Api.ask(log, log.api <> "STREAM.MSG.GET." <> stream(log, subject), body) do
       {:ok, %{"message" => message}} -> decoded(message)

@@ -30,6 +30,17 @@ defmodule Situ.Remote.Log.Nats.Api do
     end
   end
 
+  @doc "Changes the settings of a JetStream stream."
+  @spec changed(Nats.t(), map()) :: :ok | {:error, Error.t()}
+  def changed(log, %{"name" => name} = config) do
+    case ask(log, log.api <> "STREAM.UPDATE." <> name, JSON.encode(config), @api_ms) do
+      {:ok, %{"config" => _}} -> :ok
+      {:ok, %{"error" => error}} -> {:error, refusal(error)}
+      {:ok, _other} -> {:error, away("an answer that says nothing")}
+      {:error, error} -> {:error, error}
+    end
+  end
+
   @doc "A question and its answer."
   @spec ask(Nats.t(), String.t(), iodata(), pos_integer() | nil) ::
           {:ok, term()} | {:error, Error.t()}

@@ -77,8 +77,9 @@ defmodule Situ.Remote.Log.Nats.Kept do
     end
   end
 
+  # Of a key only the last entry counts.
   defp key(token, n),
-    do: %{subject: {:key, URI.decode(token)}, entries: n, bytes: nil, written: nil}
+    do: %{subject: {:key, URI.decode(token)}, entries: min(n, 1), bytes: nil, written: nil}
 
   @doc "Deletes a JetStream stream and its files."
   @spec delete(Nats.t(), String.t()) :: :ok | {:error, Error.t()}

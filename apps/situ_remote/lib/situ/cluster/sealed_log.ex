@@ -1,0 +1,114 @@
+defmodule Situ.Cluster.SealedLog do
+  @moduledoc false
+  # A log as one run of a deployment sees it: every entry is sealed when it is written and checked when it is read
+  # (`Situ.Cluster.Seal`). All of the cluster's streams, leases, notes and checkpoints go through here. An entry that
+  # is not to be believed is an error (`:forged_entry`, `:unsealed_entry`), and never data.
+  @behaviour Situ.Remote.Log
+
+  alias Situ.Cluster.Seal
+  alias Situ.Error
+  alias Situ.Remote.Log
+  alias Situ.Remote.Log.Entry
+
+  @enforce_keys [:log, :run]
+  defstruct [:log, :run]
+
+  @type t :: %__MODULE__{log: Log.t(), run: String.t()}
+
+  @doc "The log for one run."
+  @spec new(Log.t(), String.t()) :: Log.t()
+  def new(%Log{} = log, run),
+    do: %Log{adapter: __MODULE__, conn: %__MODULE__{log: log, run: run}}
+
+  @impl true
+  def connect(_address, _opts),
+    do: {:error, Error.new(:bad_address, "a sealed log is made from another one")}
+
+  @impl true
+  def append(%__MODULE__{log: log, run: run} = conn, subject, expected, %Entry{} = entry) do
+    sealed = Seal.close(entry, run, subject, expected)
+
+    case log.adapter.append(log.conn, subject, expected, sealed) do
+      {:refused, %Entry{} = last} ->
+        with {:ok, last} <- check(conn, subject, last), do: {:refused, last}
+
+      # It is empty, but counts on.
+      {:counts_from, seq} ->
+        append(conn, subject, seq, entry)
+
+      answer ->
+        answer
+    end
+  end
+
+  @impl true
+  def last(%__MODULE__{log: log} = conn, subject) do
+    with {:ok, %Entry{} = entry} <- Log.last(log, subject), do: check(conn, subject, entry)
+  end
+
+  @impl true
+  def read(%__MODULE__{log: log} = conn, subject, from, most) do
+    with {:ok, entries} <- Log.read(log, subject, from, most),
+         do: check_all(conn, subject, entries, [])
+  end
+
+  defp check_all(_conn, _subject, [], checked), do: {:ok, Enum.reverse(checked)}
+
+  defp check_all(conn, subject, [entry | rest], checked) do
+    with {:ok, entry} <- check(conn, subject, entry),
+         do: check_all(conn, subject, rest, [entry | checked])
+  end
+
+  defp check(conn, subject, entry) do
+    case Seal.open(entry, conn.run, subject) do
+      {:behind, follows, entry} -> placed(conn.log, subject, follows, entry)
+      answer -> answer
+    end
+  end
+
+  # Whoever writes a lease once more only delays a takeover: a lease holds no data, its number is the epoch, and numbers
+  # grow. Leases are read too often to look at two entries each time.
+  defp placed(_log, {:key, "lease." <> _}, _follows, entry), do: {:ok, entry}
+
+  # Logs keep the last two entries of a key: the one before must be the one that this entry was written behind.
+  defp placed(log, subject, follows, entry) do
+    case log.adapter.first(log.conn, subject, max(follows, 1)) do
+      {:ok, %Entry{seq: ^follows}} -> {:ok, entry}
+      {:ok, %Entry{seq: seq}} when follows == 0 and seq == entry.seq -> {:ok, entry}
+      {:ok, _another} -> passed(log, subject, entry)
+      {:error, error} -> {:error, error}
+    end
+  end
+
+  # Two writes since it was read take away the one before: then it is not the last one any more.
+  defp passed(log, subject, entry) do
+    case Log.last(log, subject) do
+      {:ok, %Entry{seq: seq}} when seq != entry.seq ->
+        {:error,
+         Error.new(:log_away, "the key #{elem(subject, 1)} is being written", fix: "read it again")}
+
+      {:ok, _same} ->
+        {:error, Seal.moved(entry, subject)}
+
+      {:error, error} ->
+        {:error, error}
+    end
+  end
+
+  @impl true
+  def first(%__MODULE__{log: log} = conn, subject, from) do
+    with {:ok, %Entry{} = entry} <- log.adapter.first(log.conn, subject, from),
+         do: check(conn, subject, entry)
+  end
+
+  @impl true
+  def trim(%__MODULE__{log: log}, subject, seq), do: Log.trim(log, subject, seq)
+  @impl true
+  def subjects(%__MODULE__{log: log}), do: Log.subjects(log)
+  @impl true
+  def delete(%__MODULE__{log: log}, subject), do: Log.delete(log, subject)
+  @impl true
+  def limit(%__MODULE__{log: log}), do: Log.limit(log)
+  @impl true
+  def close(%__MODULE__{log: log}), do: Log.close(log)
+end
