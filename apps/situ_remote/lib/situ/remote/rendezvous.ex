@@ -5,6 +5,11 @@ defmodule Situ.Remote.Rendezvous do
       type: :string,
       default: "127.0.0.1",
       doc: "Where to listen; \"0.0.0.0\": everywhere."
+    ],
+    deadline: [
+      type: :pos_integer,
+      default: 10_000,
+      doc: "Ms within which a client says hello, and ends what it has begun to say."
     ]
   ]
   @join [
@@ -54,8 +59,9 @@ defmodule Situ.Remote.Rendezvous do
   takes its processes along, what a process offers may change (`announce/2`), a client that says nothing holds up
   nobody, and one that lost its server comes back after 50 ms to 5 s. Of two processes with one name the others see the
   first; the second is told (`{:taken, name}`, `error/1`), and takes its place when that has gone. The protocol has no
-  authentication: whoever can
-  connect can announce; leave it on the loopback address or a network of its own.
+  authentication: everybody who can connect can announce, so leave it on the loopback address or a network of its own.
+  A client that does not say hello, or does not end what it has begun to say, is disconnected after ten seconds; of more
+  than 1,000 clients the oldest one that has announced nothing goes.
 
   Where a NATS server is there for the log, no other is needed: `join("nats://lab1:4222,lab2:4222", name: "robot", ...)`
   does the same over it, also over its clusters and leaf links (JetStream is not needed), with its accounts and TLS.

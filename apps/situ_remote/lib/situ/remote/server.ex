@@ -13,11 +13,13 @@ defmodule Situ.Remote.Server do
 
   @most_clients 1_000
   @most_per_address 250
+  # So many at once are told why they may not come in; any others lose the connection without a word.
+  @most_told 50
   # Wrong tokens of one address within a minute.
   @most_wrong 20
   @minute_ms 60_000
 
-  defstruct [:config, listeners: [], sessions: %{}, wrong: %{}, refused: 0]
+  defstruct [:config, listeners: [], sessions: %{}, told: MapSet.new(), wrong: %{}, refused: 0]
 
   @doc "Opens the listeners. `config` is what sessions need: `served`, `token`, `quota`, `now`, `answer`."
   @spec start_link([{:tcp | :tls | :unix, keyword()}], map()) ::
@@ -113,12 +115,32 @@ defmodule Situ.Remote.Server do
     do: {:reply, {Map.keys(state.sessions), state.refused}, state}
 
   def handle_call({:session, peer}, _from, state) do
-    if full?(state, peer) do
-      {:reply, :full, %{state | refused: state.refused + 1}}
-    else
-      {:ok, session} = Session.start_link(state.config)
-      {:reply, {:ok, session}, %{state | sessions: Map.put(state.sessions, session, peer)}}
+    cond do
+      guessing?(state, peer) -> {:reply, :full, %{state | refused: state.refused + 1}}
+      full?(state, peer) -> turn_away(state)
+      true -> admit_session(state, peer)
     end
+  end
+
+  defp admit_session(state, peer) do
+    {:ok, session} = Session.start_link(state.config)
+    {:reply, {:ok, session}, %{state | sessions: Map.put(state.sessions, session, peer)}}
+  end
+
+  defp turn_away(%{told: told} = state) do
+    if MapSet.size(told) < @most_told do
+      {:ok, session} = Session.start_link(Map.put(state.config, :refusal, too_many()))
+      {:reply, {:ok, session}, %{state | told: MapSet.put(told, session)}}
+    else
+      {:reply, :full, %{state | refused: state.refused + 1}}
+    end
+  end
+
+  defp too_many do
+    Error.new(:too_many_clients, "the server of the link has no room for another client",
+      why: "it takes #{@most_clients} in all, and #{@most_per_address} from one address",
+      fix: "close links that nobody needs, or try again later"
+    )
   end
 
   defp listened(state),
@@ -141,9 +163,10 @@ defmodule Situ.Remote.Server do
 
   defp full?(state, peer) do
     map_size(state.sessions) >= @most_clients or
-      Enum.count(state.sessions, fn {_, other} -> other == peer end) >= @most_per_address or
-      length(recent(state, peer)) >= @most_wrong
+      Enum.count(state.sessions, fn {_, other} -> other == peer end) >= @most_per_address
   end
+
+  defp guessing?(state, peer), do: length(recent(state, peer)) >= @most_wrong
 
   defp recent(state, peer) do
     now = System.monotonic_time(:millisecond)
@@ -167,7 +190,11 @@ defmodule Situ.Remote.Server do
     do: {:noreply, %{state | sessions: Map.delete(state.sessions, pid)}}
 
   # An acceptor ends with its listener, and the server with the process that started it.
-  def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
+  def handle_info({:EXIT, pid, reason}, %{told: told} = state) do
+    if MapSet.member?(told, pid),
+      do: {:noreply, %{state | told: MapSet.delete(told, pid)}},
+      else: {:stop, reason, state}
+  end
 
   # Somebody with many addresses does not fill the memory.
   defp trimmed(wrong) when map_size(wrong) < 10_000, do: wrong
@@ -175,7 +202,8 @@ defmodule Situ.Remote.Server do
 
   @impl true
   def terminate(_reason, state) do
-    for {session, _} <- state.sessions, do: Process.exit(session, :shutdown)
+    for session <- Map.keys(state.sessions) ++ MapSet.to_list(state.told),
+        do: Process.exit(session, :shutdown)
 
     for {kind, listener} <- state.listeners do
       Socket.close(listener)

@@ -90,4 +90,90 @@ defmodule Situ.Remote.RendezvousTest do
     assert_receive {:situ_rendezvous, ^a, {:added, %{name: "b"}}}
     :gen_tcp.close(silent)
   end
+
+  defp raw(port) do
+    {:ok, socket} =
+      :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false, nodelay: true])
+
+    socket
+  end
+
+  defp greet(socket) do
+    :ok = :gen_tcp.send(socket, <<Wire.version()::little-16>>)
+    :gen_tcp.recv(socket, 2, 30_000)
+  end
+
+  # An announcement of about 900 kB, but for its end.
+  defp long do
+    streams = for i <- 1..10_000, do: {"stream #{i}", ":float"}
+    endpoints = for i <- 1..5, do: {:tcp, "host", i, streams}
+    add = {:add, %{name: "long", version: "1", endpoints: endpoints}}
+    bytes = IO.iodata_to_binary(Wire.encode(add))
+    binary_part(bytes, 0, byte_size(bytes) - 3_000)
+  end
+
+  test "clients that are silent, or do not end what they say, are disconnected" do
+    {:ok, server} = Rendezvous.serve(port: 0, deadline: 200)
+    port = Rendezvous.port(server)
+    member = join(port, "member")
+    {silent, half, begun} = {raw(port), raw(port), raw(port)}
+    :ok = :gen_tcp.send(half, <<2>>)
+    {:ok, _} = greet(begun)
+    :ok = :gen_tcp.send(begun, <<1, 200>>)
+    assert {:error, :closed} = :gen_tcp.recv(silent, 0, 30_000)
+    assert {:error, :closed} = :gen_tcp.recv(half, 0, 30_000)
+    assert {:error, _closed} = until_closed(begun)
+    # One that owes nothing may be silent for as long as it likes.
+    assert Rendezvous.error(member) == nil
+    _ = join(port, "late")
+    assert_receive {:situ_rendezvous, ^member, {:added, %{name: "late"}}}
+    refute_received {:situ_rendezvous, ^member, {:removed, _}}
+  end
+
+  defp until_closed(socket) do
+    with {:ok, _bytes} <- :gen_tcp.recv(socket, 0, 30_000), do: until_closed(socket)
+  end
+
+  test "a thousand silent clients shut nobody out, greeted or not" do
+    {:ok, server} = Rendezvous.serve(port: 0)
+    port = Rendezvous.port(server)
+    first = join(port, "first")
+
+    silent =
+      for i <- 1..1_010,
+          socket = raw(port),
+          do:
+            (
+              if(rem(i, 2) == 0, do: greet(socket))
+              socket
+            )
+
+    _ = join(port, "second")
+    assert_receive {:situ_rendezvous, ^first, {:added, %{name: "second"}}}, 30_000
+    for socket <- silent, do: :gen_tcp.close(socket)
+  end
+
+  test "bytes that trickle behind a long announcement cost what they weigh" do
+    {:ok, server} = Rendezvous.serve(port: 0, deadline: 600_000)
+    slow = raw(Rendezvous.port(server))
+    {:ok, _} = greet(slow)
+    first = reductions(server)
+    long = long()
+    :ok = :gen_tcp.send(slow, long)
+    eventually(fn -> :sys.get_state(server).pending == byte_size(long) end)
+    whole = reductions(server)
+
+    for _ <- 1..200, do: {:gen_tcp.send(slow, "x"), reductions(server)}
+    eventually(fn -> :sys.get_state(server).pending == byte_size(long) + 200 end)
+
+    # As much in all as the announcement did, and not each of them.
+    assert reductions(server) - whole < whole - first
+  end
+
+  # The call makes it take in what is in its mailbox.
+  defp reductions(server) do
+    [] = GenServer.call(server, :processes)
+    {:reductions, n} = Process.info(server, :reductions)
+    n
+  end
 end

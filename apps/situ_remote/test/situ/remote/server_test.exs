@@ -65,6 +65,25 @@ defmodule Situ.Remote.ServerTest do
     assert {:error, _} = next(raw(server))
   end
 
+  test "a client for which there is no room reads why", %{path: path} do
+    server = serve(path)
+
+    capture_log(fn ->
+      # From one address.
+      taken = for _ <- 1..250, do: raw(server)
+      for socket <- taken, do: {:ok, {:hello, _, _, _}} = next(socket)
+      socket = raw(server)
+      {:ok, {:hello, _, _, theirs}} = next(socket)
+      nonce = Handshake.nonce()
+      :ok = :gen_tcp.send(socket, Frame.encode(Handshake.hello(nonce)))
+      proof = Handshake.proof("", :client, theirs, nonce)
+      :ok = :gen_tcp.send(socket, Frame.encode({:login, proof, %{"name" => "lobby"}}))
+      assert %{code: :too_many_clients, fix: fix} = refusal(socket)
+      assert fix =~ "close links"
+      for socket <- taken, do: :gen_tcp.close(socket)
+    end)
+  end
+
   test "a client that does not know the server's token notices", %{path: path} do
     server = serve(path)
 

@@ -10,7 +10,7 @@ defmodule Situ.Remote.Rendezvous.Member do
 
   @first_wait 50
   @longest_wait 5_000
-  @most_bytes 16 * 1024 * 1024
+  @greet_ms 10_000
 
   defstruct [
     :host,
@@ -23,6 +23,7 @@ defmodule Situ.Remote.Rendezvous.Member do
     wait: @first_wait,
     stage: nil,
     buffer: "",
+    continue: nil,
     peers: %{}
   ]
 
@@ -58,7 +59,8 @@ defmodule Situ.Remote.Rendezvous.Member do
     case :gen_tcp.connect(String.to_charlist(state.host), state.port, options, 5_000) do
       {:ok, socket} ->
         _ = :gen_tcp.send(socket, <<Wire.version()::little-signed-16>>)
-        {:noreply, %{state | socket: socket, stage: :greeting, buffer: ""}}
+        Process.send_after(self(), {:greeted?, socket}, @greet_ms)
+        {:noreply, %{state | socket: socket, stage: :greeting, buffer: "", continue: nil}}
 
       {:error, reason} ->
         {:noreply, again(state, to_string(:inet.format_error(reason)))}
@@ -70,6 +72,10 @@ defmodule Situ.Remote.Rendezvous.Member do
     {:noreply, read(%{state | buffer: state.buffer <> bytes})}
   end
 
+  def handle_info({:greeted?, socket}, %{socket: socket, stage: stage} = state)
+      when stage != :open,
+      do: {:noreply, again(state, "no greeting within 10 s: is it a rendezvous?")}
+
   def handle_info({kind, socket}, %{socket: socket} = state) when kind == :tcp_closed,
     do: {:noreply, again(state, "the server closed the connection")}
 
@@ -77,9 +83,6 @@ defmodule Situ.Remote.Rendezvous.Member do
     do: {:noreply, again(state, inspect(reason))}
 
   def handle_info(_other, state), do: {:noreply, state}
-
-  defp read(%{buffer: buffer} = state) when byte_size(buffer) > @most_bytes,
-    do: again(state, "too much at once")
 
   defp read(%{stage: :greeting, buffer: <<version::little-signed-16, rest::binary>>} = state) do
     if version == Wire.version(),
@@ -101,10 +104,12 @@ defmodule Situ.Remote.Rendezvous.Member do
     end
   end
 
+  defp read(%{stage: :open, buffer: ""} = state), do: state
+
   defp read(%{stage: :open, buffer: buffer} = state) do
-    case Wire.decode(buffer) do
-      {:ok, update, rest} -> read(updated(%{state | buffer: rest}, update))
-      :more -> state
+    case (state.continue || (&Wire.feed/1)).(buffer) do
+      {:ok, update, rest} -> read(updated(%{state | buffer: rest, continue: nil}, update))
+      {:more, continue} -> %{state | buffer: "", continue: continue}
       {:error, why} -> again(state, why)
     end
   end

@@ -2,12 +2,18 @@ defmodule Situ.Remote.Rendezvous.Server do
   @moduledoc false
   # Where processes find one another. All clients in one process: each has little to say. A client that has gone takes
   # its processes along; one that does not read is let go.
+  #
+  # Nobody has to prove who it is, so nobody may keep others out: a client says hello within some seconds, and ends what
+  # it has begun to say as soon; when there is no room, the oldest client that has announced nothing goes.
   use GenServer
   alias Situ.Error
   alias Situ.Remote.Rendezvous.{Directory, Wire}
 
   @most_clients 1_000
+  # Of one update, and of all that are not whole yet.
   @most_bytes 1024 * 1024
+  @most_pending 16 * 1024 * 1024
+  @look_ms 1_000
   # Linux: a host that is silent for 25 s is gone (TCP_KEEPIDLE, TCP_KEEPINTVL, TCP_KEEPCNT).
   @alive [
     {:raw, 6, 4, <<10::native-32>>},
@@ -15,7 +21,7 @@ defmodule Situ.Remote.Rendezvous.Server do
     {:raw, 6, 6, <<3::native-32>>}
   ]
 
-  defstruct [:listener, clients: %{}, directory: Directory.new()]
+  defstruct [:listener, :deadline, pending: 0, clients: %{}, directory: Directory.new()]
 
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(opts) do
@@ -24,7 +30,8 @@ defmodule Situ.Remote.Rendezvous.Server do
 
     with {:ok, ip} <- :inet.getaddr(String.to_charlist(opts[:interface]), :inet),
          {:ok, listener} <- :gen_tcp.listen(opts[:port], [ip: ip] ++ options) do
-      {:ok, server} = GenServer.start_link(__MODULE__, listener)
+      {:ok, server} = GenServer.start_link(__MODULE__, {listener, opts[:deadline]})
+
       :ok = :gen_tcp.controlling_process(listener, server)
       GenServer.call(server, :begin)
       {:ok, server}
@@ -42,9 +49,10 @@ defmodule Situ.Remote.Rendezvous.Server do
   end
 
   @impl true
-  def init(listener) do
+  def init({listener, deadline}) do
     Process.flag(:trap_exit, true)
-    {:ok, %__MODULE__{listener: listener}}
+    Process.send_after(self(), :look, min(@look_ms, deadline))
+    {:ok, %__MODULE__{listener: listener, deadline: deadline}}
   end
 
   @impl true
@@ -59,21 +67,33 @@ defmodule Situ.Remote.Rendezvous.Server do
   def handle_call(:processes, _from, state),
     do: {:reply, Directory.processes(state.directory), state}
 
+  # Of a client: `stage` (:greeting or :open), what goes on with its next bytes, how many of the update it has sent,
+  # since when it owes the rest (`nil`: nothing), and when it came.
   @impl true
-  def handle_info({:client, socket}, state) when map_size(state.clients) < @most_clients do
-    :ok = :inet.setopts(socket, active: :once)
-    {:noreply, %{state | clients: Map.put(state.clients, socket, {:greeting, ""})}}
-  end
-
   def handle_info({:client, socket}, state) do
-    :gen_tcp.close(socket)
-    {:noreply, state}
+    state = make_room(state)
+
+    if map_size(state.clients) < @most_clients do
+      :ok = :inet.setopts(socket, active: :once)
+      now = now()
+      client = %{stage: :greeting, continue: nil, bytes: 0, owes: now, came: now}
+      {:noreply, %{state | clients: Map.put(state.clients, socket, client)}}
+    else
+      :gen_tcp.close(socket)
+      {:noreply, state}
+    end
   end
 
   def handle_info({:tcp, socket, bytes}, state) when is_map_key(state.clients, socket) do
-    {stage, buffer} = state.clients[socket]
     _ = :inet.setopts(socket, active: :once)
-    {:noreply, read(state, socket, stage, buffer <> bytes)}
+    {:noreply, read(state, socket, state.clients[socket], bytes)}
+  end
+
+  def handle_info(:look, state) do
+    Process.send_after(self(), :look, min(@look_ms, state.deadline))
+    late = now() - state.deadline
+    slow = for {socket, %{owes: owes}} <- state.clients, owes != nil and owes <= late, do: socket
+    {:noreply, Enum.reduce(slow, state, &drop(&2, &1))}
   end
 
   def handle_info({:tcp_closed, socket}, state), do: {:noreply, gone(state, socket)}
@@ -81,39 +101,76 @@ defmodule Situ.Remote.Rendezvous.Server do
   def handle_info({:EXIT, _, reason}, state), do: {:stop, reason, state}
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp read(state, socket, _stage, buffer) when byte_size(buffer) > @most_bytes,
-    do: drop(state, socket)
+  defp make_room(%{clients: clients} = state) when map_size(clients) < @most_clients, do: state
 
-  # A client of another version gets our version, as it expects, and is disconnected.
-  defp read(state, socket, :greeting, <<version::little-signed-16, rest::binary>>) do
-    _ = :gen_tcp.send(socket, <<Wire.version()::little-signed-16>>)
+  defp make_room(%{clients: clients} = state) do
+    owners = Directory.owners(state.directory)
+    idle = for {socket, client} <- clients, socket not in owners, do: {client.came, socket}
 
-    if version == Wire.version(),
-      do: state |> welcome(socket) |> read(socket, :open, rest),
-      else: drop(state, socket)
+    case Enum.min(idle, fn -> nil end) do
+      {_came, socket} -> drop(state, socket)
+      nil -> state
+    end
   end
 
-  defp read(state, socket, :greeting, short), do: keep(state, socket, :greeting, short)
+  # A client of another version gets our version, as it expects, and is disconnected.
+  defp read(state, socket, %{stage: :greeting} = client, bytes) do
+    case (client.continue || "") <> bytes do
+      <<version::little-signed-16, rest::binary>> -> greet(state, socket, {client, version}, rest)
+      short -> put(state, socket, %{client | continue: short})
+    end
+  end
 
-  defp read(state, socket, :open, buffer) do
-    case Wire.decode(buffer) do
+  defp read(state, socket, client, ""), do: put(state, socket, client)
+
+  defp read(state, socket, %{bytes: before} = client, bytes) do
+    client = %{client | bytes: before + byte_size(bytes)}
+
+    case (client.continue || (&Wire.feed/1)).(bytes) do
       {:ok, :disconnect, _rest} ->
         drop(state, socket)
 
       {:ok, update, rest} ->
         {told, directory} = Directory.apply(state.directory, socket, update)
-        %{state | directory: directory} |> tell(told) |> read(socket, :open, rest)
+        client = %{client | continue: nil, bytes: 0, owes: nil}
 
-      :more ->
-        keep(state, socket, :open, buffer)
+        %{state | directory: directory}
+        |> put(socket, client)
+        |> tell(told)
+        |> read(socket, client, rest)
+
+      {:more, continue} ->
+        wait(state, socket, %{client | continue: continue, owes: client.owes || now()})
 
       {:error, _why} ->
         drop(state, socket)
     end
   end
 
-  defp keep(state, socket, stage, buffer),
-    do: %{state | clients: Map.put(state.clients, socket, {stage, buffer})}
+  defp greet(state, socket, {client, version}, rest) do
+    _ = :gen_tcp.send(socket, <<Wire.version()::little-signed-16>>)
+
+    if version == Wire.version() do
+      client = %{client | stage: :open, continue: nil, owes: nil}
+      state |> put(socket, client) |> welcome(socket) |> read(socket, client, rest)
+    else
+      drop(state, socket)
+    end
+  end
+
+  defp wait(state, socket, client) do
+    state = put(state, socket, client)
+
+    if client.bytes > @most_bytes or state.pending > @most_pending,
+      do: drop(state, socket),
+      else: state
+  end
+
+  defp put(state, socket, client) do
+    before = with %{bytes: bytes} <- state.clients[socket], do: bytes
+    pending = state.pending + client.bytes - (before || 0)
+    %{state | pending: pending, clients: Map.put(state.clients, socket, client)}
+  end
 
   defp welcome(state, socket) do
     address =
@@ -130,7 +187,7 @@ defmodule Situ.Remote.Rendezvous.Server do
         <<length(processes)::little-signed-32>> | updates
       ])
 
-    keep(state, socket, :open, "")
+    state
   end
 
   # To everybody, the one that said it included, as in the reference.
@@ -138,7 +195,7 @@ defmodule Situ.Remote.Rendezvous.Server do
 
   defp tell(state, updates) do
     bytes = Enum.map(updates, &Wire.encode/1)
-    for {socket, {:open, _}} <- state.clients, do: :gen_tcp.send(socket, bytes)
+    for {socket, %{stage: :open}} <- state.clients, do: :gen_tcp.send(socket, bytes)
     state
   end
 
@@ -149,8 +206,12 @@ defmodule Situ.Remote.Rendezvous.Server do
 
   defp gone(state, socket) do
     {told, directory} = Directory.gone(state.directory, socket)
-    tell(%{state | clients: Map.delete(state.clients, socket), directory: directory}, told)
+    {client, clients} = Map.pop(state.clients, socket)
+    pending = state.pending - if(client, do: client.bytes, else: 0)
+    tell(%{state | clients: clients, pending: pending, directory: directory}, told)
   end
+
+  defp now, do: System.monotonic_time(:millisecond)
 
   @impl true
   def terminate(_reason, state) do

@@ -69,67 +69,106 @@ defmodule Situ.Remote.Rendezvous.Wire do
   defp varint(n) when n < 128, do: <<n>>
   defp varint(n), do: <<1::1, rem(n, 128)::7, varint(div(n, 128))::binary>>
 
+  @typedoc "An update of which more is to come: what it is given next goes on where it stopped."
+  @type continuation :: (binary() -> result())
+  @type result :: {:ok, update(), binary()} | {:more, continuation()} | {:error, String.t()}
+
   @doc "The first update in `bytes` and what follows it; `:more` when it is not all there."
   @spec decode(binary()) :: {:ok, update(), binary()} | :more | {:error, String.t()}
-  def decode(<<>>), do: :more
-  def decode(<<0, rest::binary>>), do: {:ok, :disconnect, rest}
-
-  def decode(<<1, rest::binary>>) do
-    with {:ok, name, rest} <- read_text(rest),
-         {:ok, version, rest} <- read_text(rest),
-         {:ok, endpoints, rest} <- read_list(rest, @most_endpoints, &read_endpoint/1),
-         do: {:ok, {:add, %{name: name, version: version, endpoints: endpoints}}, rest}
+  def decode(bytes) do
+    with {:more, _continuation} <- feed(bytes), do: :more
   end
 
-  def decode(<<2, rest::binary>>) do
-    with {:ok, name, rest} <- read_text(rest), do: {:ok, {:remove, name}, rest}
+  @doc """
+  As `decode/1` for an update that comes in pieces: nothing is read twice but the text or number that was cut.
+
+      iex> alias Situ.Remote.Rendezvous.Wire
+      iex> <<first::binary-3, rest::binary>> = IO.iodata_to_binary(Wire.encode({:remove, "robot"}))
+      iex> {:more, continue} = Wire.feed(first)
+      iex> continue.(rest <> "next")
+      {:ok, {:remove, "robot"}, "next"}
+  """
+  @spec feed(binary()) :: result()
+  def feed(<<>>), do: {:more, &feed/1}
+  def feed(<<0, rest::binary>>), do: {:ok, :disconnect, rest}
+
+  def feed(<<1, rest::binary>>) do
+    feed_text(rest, fn name, rest ->
+      feed_text(rest, fn version, rest ->
+        feed_list(rest, @most_endpoints, &feed_endpoint/2, fn endpoints, rest ->
+          {:ok, {:add, %{name: name, version: version, endpoints: endpoints}}, rest}
+        end)
+      end)
+    end)
   end
 
-  def decode(<<kind, _::binary>>), do: {:error, "no update begins with the byte #{kind}"}
+  def feed(<<2, rest::binary>>),
+    do: feed_text(rest, fn name, rest -> {:ok, {:remove, name}, rest} end)
 
-  defp read_endpoint(<<kind, rest::binary>>) when kind in [0, 3] do
-    with {:ok, host, rest} <- read_text(rest),
-         {:ok, port, rest} <- read_int(rest),
-         {:ok, streams, rest} <- read_streams(rest),
-         do: {:ok, {if(kind == 0, do: :tcp, else: :clock), host, port, streams}, rest}
-  end
+  def feed(<<kind, _::binary>>), do: {:error, "no update begins with the byte #{kind}"}
 
-  defp read_endpoint(<<1, rest::binary>>) do
-    with {:ok, address, rest} <- read_text(rest),
-         {:ok, streams, rest} <- read_streams(rest),
-         do: {:ok, {:address, address, streams}, rest}
-  end
+  # Each takes the bytes, and what goes on with the value and the rest.
 
-  defp read_endpoint(<<2, rest::binary>>) do
-    with {:ok, host, rest} <- read_text(rest),
-         {:ok, port, rest} <- read_int(rest),
-         {:ok, transport, rest} <- read_int(rest),
-         {:ok, streams, rest} <- read_streams(rest),
-         do: {:ok, {:exporter, host, port, transport, streams}, rest}
-  end
+  defp feed_text(bytes, next), do: feed_one(bytes, &read_text/1, next)
+  defp feed_int(bytes, next), do: feed_one(bytes, &read_int/1, next)
 
-  defp read_endpoint(<<kind, _::binary>>), do: {:error, "no endpoint is of the kind #{kind}"}
-  defp read_endpoint(<<>>), do: :more
-
-  defp read_streams(bytes), do: read_list(bytes, @most_streams, &read_stream/1)
-
-  defp read_stream(bytes) do
-    with {:ok, name, rest} <- read_text(bytes),
-         {:ok, type, rest} <- read_text(rest),
-         do: {:ok, {name, type}, rest}
-  end
-
-  defp read_list(bytes, most, one) do
-    with {:ok, n, rest} <- read_int(bytes) do
-      if n in 0..most, do: read_n(rest, n, one, []), else: {:error, "a list of #{n}"}
+  defp feed_one(bytes, read, next) do
+    case read.(bytes) do
+      {:ok, value, rest} -> next.(value, rest)
+      :more -> {:more, &feed_one(bytes <> &1, read, next)}
+      {:error, why} -> {:error, why}
     end
   end
 
-  defp read_n(rest, 0, _one, done), do: {:ok, Enum.reverse(done), rest}
-
-  defp read_n(bytes, n, one, done) do
-    with {:ok, item, rest} <- one.(bytes), do: read_n(rest, n - 1, one, [item | done])
+  defp feed_endpoint(<<kind, rest::binary>>, next) when kind in [0, 3] do
+    feed_text(rest, fn host, rest ->
+      feed_int(rest, fn port, rest ->
+        feed_streams(rest, fn streams, rest ->
+          next.({if(kind == 0, do: :tcp, else: :clock), host, port, streams}, rest)
+        end)
+      end)
+    end)
   end
+
+  defp feed_endpoint(<<1, rest::binary>>, next) do
+    feed_text(rest, fn address, rest ->
+      feed_streams(rest, fn streams, rest -> next.({:address, address, streams}, rest) end)
+    end)
+  end
+
+  defp feed_endpoint(<<2, rest::binary>>, next) do
+    feed_text(rest, fn host, rest ->
+      feed_int(rest, fn port, rest ->
+        feed_int(rest, fn transport, rest ->
+          feed_streams(rest, &next.({:exporter, host, port, transport, &1}, &2))
+        end)
+      end)
+    end)
+  end
+
+  defp feed_endpoint(<<kind, _::binary>>, _next),
+    do: {:error, "no endpoint is of the kind #{kind}"}
+
+  defp feed_endpoint(<<>>, next), do: {:more, &feed_endpoint(&1, next)}
+
+  defp feed_streams(bytes, next), do: feed_list(bytes, @most_streams, &feed_stream/2, next)
+
+  defp feed_stream(bytes, next) do
+    feed_text(bytes, fn name, rest ->
+      feed_text(rest, fn type, rest -> next.({name, type}, rest) end)
+    end)
+  end
+
+  defp feed_list(bytes, most, one, next) do
+    feed_int(bytes, fn n, rest ->
+      if n in 0..most, do: feed_n(rest, {n, []}, one, next), else: {:error, "a list of #{n}"}
+    end)
+  end
+
+  defp feed_n(rest, {0, done}, _one, next), do: next.(Enum.reverse(done), rest)
+
+  defp feed_n(bytes, {n, done}, one, next),
+    do: one.(bytes, fn item, rest -> feed_n(rest, {n - 1, [item | done]}, one, next) end)
 
   @doc "A 32-bit number."
   @spec read_int(binary()) :: {:ok, integer(), binary()} | :more

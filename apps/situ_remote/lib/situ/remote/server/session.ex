@@ -145,6 +145,10 @@ defmodule Situ.Remote.Server.Session do
          do: {:ok, %{state | stage: :login, client_nonce: nonce}}
   end
 
+  # There is no room: all that it said was read, so that it reads why.
+  defp frame({:login, _proof, _map}, %{stage: :login, config: %{refusal: error}}),
+    do: {:error, error}
+
   defp frame({:login, proof, map}, %{stage: :login} = state) do
     if Handshake.proves?(state.config.token, :client, state.nonce, state.client_nonce, proof),
       do: login(map, state),

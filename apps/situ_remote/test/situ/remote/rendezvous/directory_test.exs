@@ -16,4 +16,26 @@ defmodule Situ.Remote.Rendezvous.DirectoryTest do
     assert Directory.processes(directory) == [two]
     assert {[], ^directory} = Directory.gone(directory, :y)
   end
+
+  test "one client has only so many names, and all of them only so much room" do
+    add = fn directory, owner, name, streams ->
+      endpoints = [
+        {:address, "a", for(i <- 1..streams//1, do: {String.duplicate("x", 4_000 + i), "t"})}
+      ]
+
+      process = %{name: name, version: "1", endpoints: endpoints}
+      Directory.apply(directory, owner, {:add, process})
+    end
+
+    directory = Enum.reduce(1..150, Directory.new(), &elem(add.(&2, :x, "x#{&1}", 0), 1))
+    assert length(Directory.processes(directory)) == 100
+    assert {[_], directory} = add.(directory, :y, "y", 0)
+    assert MapSet.equal?(Directory.owners(directory), MapSet.new([:x, :y]))
+    {_, directory} = Directory.gone(directory, :x)
+    full = Enum.reduce(1..100, directory, &elem(add.(&2, {:z, &1}, "z#{&1}", 100), 1))
+    assert length(Directory.processes(full)) < 100
+    assert {[], ^full} = add.(full, :last, "last", 100)
+    emptied = Enum.reduce(1..100, full, &elem(Directory.gone(&2, {:z, &1}), 1))
+    assert emptied == directory
+  end
 end

@@ -25,7 +25,7 @@ defmodule Situ.Remote.Rendezvous.WireTest do
     one_of([:disconnect, {:remove, text()}, {:add, process}])
   end
 
-  property "updates come back whole, however the bytes are cut" do
+  property "updates come back whole, however the bytes are cut", numtests: 25 do
     forall {updates, cut} <- {list(update()), integer(0, 1_000)} do
       bytes = updates |> Enum.map(&Wire.encode/1) |> IO.iodata_to_binary()
       assert read(bytes, []) == {updates, ""}
@@ -41,6 +41,23 @@ defmodule Situ.Remote.Rendezvous.WireTest do
       :more -> {Enum.reverse(done), bytes}
     end
   end
+
+  property "fed byte by byte, updates are the same", numtests: 50 do
+    forall update <- update() do
+      bytes = IO.iodata_to_binary(Wire.encode(update))
+
+      {last, continue} =
+        for <<byte <- bytes>>, reduce: {nil, &Wire.feed/1} do
+          {nil, continue} -> step(continue.(<<byte>>))
+          other -> {{:late, other}, nil}
+        end
+
+      {last, continue} == {{:ok, update, ""}, nil}
+    end
+  end
+
+  defp step({:more, continue}), do: {nil, continue}
+  defp step(done), do: {done, nil}
 
   property "noise is an update, more to come, or an error in words", numtests: 500 do
     forall {kind, noise} <- {integer(0, 5), binary()} do
