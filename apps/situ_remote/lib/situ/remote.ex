@@ -141,8 +141,8 @@ defmodule Situ.Remote do
         p.pid
       )
 
-    :ok = Pipeline.on(p, :completed, fn _report -> Connection.close(pid) end)
-    :ok = Pipeline.on(p, :abandoned, fn _error -> Connection.close(pid) end)
+    :ok = Pipeline.on(p, :completed, fn _report -> Connection.close(pid) end, pid)
+    :ok = Pipeline.on(p, :abandoned, fn _error -> Connection.close(pid) end, pid)
 
     link = %__MODULE__{
       pid: pid,

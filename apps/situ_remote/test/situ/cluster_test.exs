@@ -305,4 +305,18 @@ defmodule Situ.ClusterTest do
 
     :sys.resume(runner)
   end
+
+  test "each recording is made by the part that writes it, and by no other", %{tmp_dir: dir} do
+    start_supervised!({Cluster, log: Path.join(dir, "log")})
+    root = Path.join(dir, "recordings")
+    # So that both parts are closed: a recording of nothing would be made at the end.
+    opts = [opts: [root: root, count: 50], place: [{"Recording", deterministic: true}]]
+    {:ok, deployment} = Cluster.deploy(Situ.Test.ClusterRecorded, [pipeline: @pipeline] ++ opts)
+    assert :ok = Cluster.await(deployment, 60_000)
+    stores = for path <- Situ.Store.list(root), {:ok, store} = Situ.Store.open(path), do: store
+    assert [placed, unplaced] = Enum.sort_by(stores, & &1.path)
+    assert Situ.Store.count(placed, "numbers") == 50
+    assert Situ.Store.count(unplaced, "doubles") == 50
+    refute Situ.Store.live?(placed) or Situ.Store.live?(unplaced)
+  end
 end

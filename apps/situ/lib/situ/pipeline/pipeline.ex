@@ -399,13 +399,19 @@ defmodule Situ.Pipeline do
     * `:progress`: `fun.(progress)`, every `progress_every:` ms and at the end: 0.0 to 1.0, never less than before
     * `:abandoned`: `fun.(error | nil)` when `build` failed, or the owner of an empty pipeline went before it was
       started: nothing else of it will ever be called
+
+  A `resource` is a value among the options of components, as the writer of a recording: where the pipeline is cut into
+  parts that run on several nodes, the handler goes with the components that use it.
   """
-  @spec on(t(), event, (term() -> any())) :: :ok
+  @spec on(t(), event, (term() -> any()), resource :: term()) :: :ok
         when event: :run | :completed | :component_completed | :error | :progress | :abandoned
-  def on(%Handle{} = p, event, fun)
+  def on(%Handle{} = p, event, fun, resource \\ nil)
       when event in [:run, :completed, :component_completed, :error, :progress, :abandoned] and
              is_function(fun, 1) do
-    Builder.run(p, &{:ok, %{&1 | handlers: &1.handlers ++ [{event, fun}]}})
+    Builder.run(p, fn graph ->
+      resources = if resource, do: Map.put(graph.resources, fun, resource), else: graph.resources
+      {:ok, %{graph | handlers: graph.handlers ++ [{event, fun}], resources: resources}}
+    end)
   end
 
   @doc """

@@ -38,7 +38,7 @@ defmodule Situ.Cluster.Assembly do
 
     build = fn p ->
       module.build(p, opts)
-      Builder.run(p, &{:ok, &1 |> Cut.part(plan, part, options) |> handlers(plan, part)})
+      Builder.run(p, &{:ok, &1 |> Cut.part(plan, part, options) |> handlers(&1, plan, part)})
     end
 
     settings =
@@ -49,18 +49,38 @@ defmodule Situ.Cluster.Assembly do
     Pipeline.start(build, pipeline: settings)
   end
 
-  # Handlers close the recordings that `build/2` opened: one that this part does not write is abandoned. All others
-  # run with the part that is not named by any rule.
-  defp handlers(graph, plan, part) do
-    writes? = Enum.any?(graph.vertices, fn {_, v} -> v.module == Situ.Store.Sink end)
+  # Handlers close what `build/2` has opened: recordings, links. Those of a resource go with the components that use it;
+  # a resource that other parts use is given up here, or each part would leave a recording of nothing. All other
+  # handlers run with the part that is not named by any rule, and with parts that record.
+  defp handlers(graph, whole, plan, part) do
+    main? = part == Plan.main(plan)
+    records? = Enum.any?(graph.vertices, fn {_, v} -> v.module == Situ.Store.Sink end)
 
-    if writes? or part == Plan.main(plan) do
-      graph
-    else
-      give_up(graph)
-      %{graph | handlers: []}
-    end
+    {kept, others} =
+      Enum.split_with(graph.handlers, fn {_event, fun} ->
+        case graph.resources do
+          %{^fun => resource} ->
+            uses?(graph, resource) or (main? and not uses?(whole, resource))
+
+          _ ->
+            main? or records?
+        end
+      end)
+
+    give_up(%{graph | handlers: others})
+    %{graph | handlers: kept}
   end
+
+  defp uses?(graph, resource),
+    do: Enum.any?(graph.vertices, fn {_, vertex} -> option?(vertex.opts, resource) end)
+
+  # Operators have options of their own, which are no list of names.
+  defp option?([{_name, value} | rest], resource),
+    do: value == resource or within?(value, resource) or option?(rest, resource)
+
+  defp option?(_other, _resource), do: false
+
+  defp within?(value, resource), do: is_tuple(value) and resource in Tuple.to_list(value)
 
   defp give_up(graph), do: for({:abandoned, fun} <- graph.handlers, do: fun.(nil))
 end

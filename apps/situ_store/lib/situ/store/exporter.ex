@@ -94,8 +94,8 @@ defmodule Situ.Store.Exporter do
     {:ok, pieces} =
       Pieces.start_link({name, root, Keyword.put(opts, :versioned, true)}, cut, keep)
 
-    :ok = Pipeline.on(p, :completed, fn _report -> Pieces.close(pieces) end)
-    :ok = Pipeline.on(p, :abandoned, fn _error -> Pieces.close(pieces) end)
+    :ok = Pipeline.on(p, :completed, fn _report -> Pieces.close(pieces) end, pieces)
+    :ok = Pipeline.on(p, :abandoned, fn _error -> Pieces.close(pieces) end, pieces)
     eager = opts[:durability] == :each
     %__MODULE__{path: Path.join(root, name), shared: nil, pieces: {pieces, cut}, eager: eager}
   end
@@ -104,8 +104,8 @@ defmodule Situ.Store.Exporter do
     case Writer.create(name, root, opts) do
       {:ok, writer} ->
         shared = SharedWriter.new(writer)
-        :ok = Pipeline.on(p, :completed, fn _report -> SharedWriter.close(shared) end)
-        :ok = Pipeline.on(p, :abandoned, fn _error -> give_up(shared) end)
+        :ok = Pipeline.on(p, :completed, fn _report -> SharedWriter.close(shared) end, shared)
+        :ok = Pipeline.on(p, :abandoned, fn _error -> give_up(shared) end, shared)
         %__MODULE__{path: writer.path, shared: shared, eager: opts[:durability] == :each}
 
       {:error, error} ->
