@@ -101,7 +101,7 @@ defmodule Situ.Cluster do
   def child_spec(opts), do: %{id: __MODULE__, start: {__MODULE__, :start_link, [opts]}}
 
   @doc """
-  Makes this node a member of the cluster.
+  Makes this node a member of the cluster. A NATS server that is not there yet is waited for, and it is said why.
 
   #{Options.docs(@schema)}
   """
@@ -128,6 +128,8 @@ defmodule Situ.Cluster do
   end
 
   defp log(%Log{} = log, _opts), do: {:ok, log}
+  # A server that is not there yet is waited for, as one that is lost is.
+  defp log("nats://" <> _ = address, opts), do: Log.connect(address, [wait: true] ++ opts)
   defp log(address, opts), do: Log.connect(address, opts)
 
   @doc "Runs a pipeline over the cluster; options above."

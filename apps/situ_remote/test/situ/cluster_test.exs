@@ -319,4 +319,44 @@ defmodule Situ.ClusterTest do
     assert Situ.Store.count(unplaced, "doubles") == 50
     refute Situ.Store.live?(placed) or Situ.Store.live?(unplaced)
   end
+
+  if NatsServer.path() do
+    test "a node that starts before its log waits for it", %{tmp_dir: dir} do
+      port = NatsServer.free_port()
+
+      log =
+        ExUnit.CaptureLog.capture_log(fn ->
+          start_supervised!(
+            {Cluster, log: "nats://127.0.0.1:#{port}", log_options: [timeout: 500]}
+          )
+
+          assert {:error, %{code: :log_away}} = Cluster.deploy(ClusterSums, opts: [count: 300])
+        end)
+
+      assert log =~ "no NATS server at 127.0.0.1:#{port}: connection refused"
+      server = NatsServer.start(dir, port: port)
+      on_exit(fn -> NatsServer.kill(server) end)
+      opts = [opts: [count: 300], place: @place, publish: ["Result"], pipeline: @pipeline]
+      deployment = patiently(fn -> Cluster.deploy(ClusterSums, opts) end)
+      assert :ok = Cluster.await(deployment, 60_000)
+      assert read(deployment, "Result") == alone(count: 300)
+    end
+
+    defp patiently(deploy, left \\ 600) do
+      case deploy.() do
+        {:ok, deployment} ->
+          deployment
+
+        {:error, %{code: :log_away}} when left > 0 ->
+          Process.sleep(50) && patiently(deploy, left - 1)
+      end
+    end
+
+    test "a server that nobody can use is no server to wait for", %{tmp_dir: dir} do
+      server = NatsServer.start(dir, settings: ~s(authorization { token: "s3cret" }))
+      on_exit(fn -> NatsServer.kill(server) end)
+      Process.flag(:trap_exit, true)
+      assert {:error, %{code: :refused_login}} = Cluster.start_link(log: server.url)
+    end
+  end
 end

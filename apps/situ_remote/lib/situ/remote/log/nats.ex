@@ -50,22 +50,29 @@ defmodule Situ.Remote.Log.Nats do
       type: {:optional, :keyword},
       doc: "Options of `:ssl`: TLS is used, and the server's name checked."
     ],
-    timeout: [type: :pos_integer, default: 2_000, doc: "Ms to wait for an answer."]
+    timeout: [type: :pos_integer, default: 2_000, doc: "Ms to wait for an answer."],
+    wait: [
+      type: :boolean,
+      default: false,
+      doc: "No error while no server is there yet: it is waited for, as one that is lost is."
+    ]
   ]
   @moduledoc @moduledoc <> Options.docs(@schema)
 
-  @enforce_keys [:connection, :api, :stream, :timeout, :config]
-  defstruct [:connection, :api, :stream, :timeout, :config]
+  @enforce_keys [:connection, :api, :stream, :timeout, :config, :prepared]
+  defstruct @enforce_keys
 
   @typedoc """
   `api` and `stream` begin the names of JetStream's subjects and of its streams; streams are made with `config`.
+  `prepared` is 1 when the server's streams were looked at.
   """
   @type t :: %__MODULE__{
           connection: pid(),
           api: String.t(),
           stream: String.t(),
           timeout: pos_integer(),
-          config: map()
+          config: map(),
+          prepared: :atomics.atomics_ref()
         }
 
   # Headers of an entry, and what the server adds.
@@ -77,17 +84,36 @@ defmodule Situ.Remote.Log.Nats do
          {:ok, servers, login} <- Servers.parse(address),
          :ok <- Servers.domain(opts[:domain]),
          own? = opts[:domain] == nil,
-         settings = [servers: servers, login: login, tls: opts[:tls], jetstream: own?],
+         settings = [
+           servers: servers,
+           login: login,
+           tls: opts[:tls],
+           jetstream: own?,
+           wait: opts[:wait]
+         ],
          {:ok, connection} <- start(settings),
          log = %__MODULE__{
            connection: connection,
            api: if(own?, do: "$JS.API.", else: "$JS.#{opts[:domain]}.API."),
            stream: opts[:stream],
            timeout: opts[:timeout],
-           config: config(opts)
+           config: config(opts),
+           prepared: :atomics.new(1, [])
          },
-         :ok <- usable(log) do
+         :ok <- log |> ready() |> or_later(opts[:wait]) do
       {:ok, log}
+    end
+  end
+
+  defp or_later({:error, %Error{code: :log_away}}, true), do: :ok
+  defp or_later(answer, _wait?), do: answer
+
+  # Whether this is a server that can be used is looked at once, as soon as it is there.
+  defp ready(%__MODULE__{prepared: prepared} = log) do
+    if :atomics.get(prepared, 1) == 1 do
+      :ok
+    else
+      with :ok <- usable(log), do: :atomics.put(prepared, 1, 1)
     end
   end
 
@@ -162,7 +188,8 @@ defmodule Situ.Remote.Log.Nats do
 
   @impl true
   def append(%__MODULE__{} = log, subject, expected, %Entry{} = entry) do
-    with :ok <- fits(log, entry),
+    with :ok <- ready(log),
+         :ok <- fits(log, entry),
          {:ok, answer} <- publish(log, subject, expected, entry) do
       appended(answer, log, subject, expected, entry)
     end
@@ -257,14 +284,16 @@ defmodule Situ.Remote.Log.Nats do
   defp get(log, subject, question) do
     body = JSON.encode(question)
 
-    case Api.ask(log, log.api <> "STREAM.MSG.GET." <> stream(log, subject), body) do
-      {:ok, %{"message" => message}} -> decoded(message)
-      {:ok, %{"error" => %{"err_code" => code}}} when code in [10_037, 10_059] -> {:ok, nil}
-      {:ok, %{"error" => error}} -> {:error, Api.refusal(error)}
-      {:ok, _other} -> {:error, Api.away("an answer that says nothing")}
-      {:error, error} -> {:error, error}
-    end
+    with :ok <- ready(log),
+         {:ok, answer} <-
+           Api.ask(log, log.api <> "STREAM.MSG.GET." <> stream(log, subject), body),
+         do: message(answer)
   end
+
+  defp message(%{"message" => message}), do: decoded(message)
+  defp message(%{"error" => %{"err_code" => code}}) when code in [10_037, 10_059], do: {:ok, nil}
+  defp message(%{"error" => error}), do: {:error, Api.refusal(error)}
+  defp message(_other), do: {:error, Api.away("an answer that says nothing")}
 
   defp decoded(message) do
     with {:ok, head} <- Base.decode64(message["hdrs"] || ""),

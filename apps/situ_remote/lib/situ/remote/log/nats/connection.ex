@@ -7,7 +7,9 @@ defmodule Situ.Remote.Log.Nats.Connection do
   use GenServer
 
   alias Situ.{Error, JSON}
+  alias Situ.Remote.Link.Socket
   alias Situ.Remote.Log.Nats.Wire
+  require Logger
 
   # Behind the payload: headers of requests and answers.
   @headers 65_536
@@ -16,11 +18,13 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
   defstruct [
     :servers,
+    :first,
     :opts,
     :socket,
     :transport,
     :inbox,
     :info,
+    :told,
     buffer: "",
     number: 0,
     pending: %{}
@@ -57,12 +61,41 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
   @impl true
   def init(opts) do
-    state = %__MODULE__{servers: opts[:servers], opts: opts}
+    state = %__MODULE__{servers: opts[:servers], first: hd(opts[:servers]), opts: opts}
 
     case first(state, length(state.servers), nil) do
-      {:ok, state} -> {:ok, state}
-      {:error, error} -> {:stop, {:shutdown, error}}
+      {:ok, state} ->
+        {:ok, state}
+
+      {:error, %{code: :log_away} = error} ->
+        if opts[:wait], do: wait(state, error), else: stop(error)
+
+      {:error, error} ->
+        stop(error)
     end
+  end
+
+  defp stop(error), do: {:stop, {:shutdown, error}}
+
+  # A server that is not there yet is waited for, as one that is lost is.
+  defp wait(state, error) do
+    Process.send_after(self(), :connect, @again_ms)
+    {:ok, tell_why(state, error)}
+  end
+
+  # Said once for each reason, and once when it is over.
+  defp tell_why(%{told: told} = state, %Error{what: told}), do: state
+
+  defp tell_why(state, %Error{} = error) do
+    Logger.warning("waiting for NATS: #{Exception.message(error)}")
+    %{state | told: error.what}
+  end
+
+  defp tell_over(%{told: nil} = state), do: state
+
+  defp tell_over(state) do
+    Logger.warning("the NATS server at #{server(state)} is there")
+    %{state | told: nil}
   end
 
   defp first(_state, 0, error), do: {:error, error}
@@ -128,11 +161,12 @@ defmodule Situ.Remote.Log.Nats.Connection do
   def handle_info(:connect, %{socket: nil} = state) do
     case connect(state) do
       {:ok, state} ->
-        {:noreply, state}
+        {:noreply, tell_over(state)}
 
-      {:error, _error} ->
+      {:error, error} ->
         Process.send_after(self(), :connect, @again_ms)
-        {:noreply, next_server(state)}
+        state = next_server(state)
+        {:noreply, if(hd(state.servers) == state.first, do: tell_why(state, error), else: state)}
     end
   end
 
@@ -244,7 +278,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
   defp reached({:error, reason}, state) do
     {:error,
-     Error.new(:log_away, "no NATS server at #{server(state)}: #{:inet.format_error(reason)}",
+     Error.new(:log_away, "no NATS server at #{server(state)}: #{Socket.reason_text(reason)}",
        fix: "start nats-server with JetStream (nats-server -js), or correct the address"
      )}
   end
