@@ -44,7 +44,8 @@ defmodule Situ.Test.NatsServer do
         :binary,
         :exit_status,
         :stderr_to_stdout,
-        args: ["-c", Path.join(server.dir, "server.conf")]
+        cd: server.dir,
+        args: ["-c", server[:config] || "server.conf"]
       ])
 
     {:os_pid, pid} = Port.info(process, :os_pid)

@@ -4,7 +4,7 @@ defmodule Situ.CLI.Cluster do
 
   alias Situ.{Cluster, Error}
   alias Situ.Cluster.Identity
-  alias Situ.CLI.{ClusterDeployment, ClusterNode, Option, Output, Verb}
+  alias Situ.CLI.{ClusterDeployment, ClusterLog, ClusterNode, Option, Output, Verb}
 
   @node Option.new(:node, :string, "a node of the cluster, as situ-9301@10.0.0.1", value: "NODE")
   @folder Option.new(
@@ -20,7 +20,8 @@ defmodule Situ.CLI.Cluster do
     [
       %Verb{
         words: ["cluster", "init"],
-        summary: "make a cluster's cookie and certificates, to be copied to every machine",
+        summary:
+          "make a cluster's cookie, certificates and login for NATS, to be copied to every machine",
         options: [@folder],
         examples: ["situ cluster init"],
         run: fn _, opts -> init(opts) end
@@ -32,6 +33,7 @@ defmodule Situ.CLI.Cluster do
         NAME says the port that the node listens on: situ-9301@10.0.0.1 listens on 10.0.0.1, port 9301. Nodes talk by
         TLS when the folder of `situ cluster init` is there. A node that is told to end (SIGTERM) hands its parts over
         first; one that is killed is missed after a second, and its parts go on elsewhere from their last checkpoints.
+        With --log nats://... it logs in by the files of that folder, over TLS.
         """,
         arguments: [name: [kind: :text, doc: "the node's name, with port and address"]],
         options: [
@@ -47,6 +49,7 @@ defmodule Situ.CLI.Cluster do
           Option.new(:peer, :string, "another node to begin with", value: "NODE", many?: true),
           Option.new(:require, :path, "Elixir file with the pipelines", many?: true),
           @folder
+          | ClusterLog.options()
         ],
         examples: ["situ cluster join situ-9301@127.0.0.1 --log /var/lib/situ/log --label camera"],
         run: fn %{name: name}, opts -> join(name, opts) end
@@ -59,7 +62,7 @@ defmodule Situ.CLI.Cluster do
         run: fn _, opts -> status(opts) end
       }
       | ClusterDeployment.verbs([@node, @folder], &ask/4) ++
-          ClusterNode.verbs([@node, @folder], &ask/4)
+          ClusterNode.verbs([@node, @folder], &ask/4, &folder/1)
     ]
   end
 
@@ -69,6 +72,10 @@ defmodule Situ.CLI.Cluster do
 
     Output.puts(
       "made #{folder}: copy it to every machine of the cluster, for its owner's eyes only"
+    )
+
+    Output.puts(
+      "#{Path.join(folder, "nats-server")} is for the machine of a NATS server alone: move it there"
     )
 
     0
@@ -90,7 +97,11 @@ defmodule Situ.CLI.Cluster do
 
     recordings = opts[:recordings] || if(File.dir?("recordings"), do: "recordings")
     settings = [log: log, labels: opts[:label], devices: opts[:device], recordings: recordings]
-    {:ok, agent} = settings |> Cluster.join() |> joined()
+    log_options = ClusterLog.connect_options(log, opts, folder(opts))
+
+    {:ok, agent} =
+      [log_options: log_options] |> Keyword.merge(settings) |> Cluster.join() |> joined()
+
     Output.puts("#{name} is up")
 
     if opts[:studio],

@@ -2,7 +2,7 @@ defmodule Situ.CLI.ClusterKept do
   @moduledoc false
   # The verbs of `situ cluster` for what the log keeps of deployments: a list, and taking away what is over.
   alias Situ.{Cluster, Error}
-  alias Situ.CLI.{ClusterNode, Option, Output, Verb}
+  alias Situ.CLI.{ClusterLog, ClusterNode, Option, Output, Verb}
   alias Situ.Cluster.Past
   alias Situ.Remote.Log
 
@@ -14,9 +14,11 @@ defmodule Situ.CLI.ClusterKept do
        )
   @watched_ms 1_500
 
-  @doc "`ask` calls a function on a node of the cluster."
-  @spec verbs([Option.t()], ClusterNode.ask()) :: [Verb.t()]
-  def verbs(common, ask) do
+  @doc "`ask` calls a function on a node of the cluster, `folder` names the cluster's identity."
+  @spec verbs([Option.t()], ClusterNode.ask(), (keyword() -> Path.t())) :: [Verb.t()]
+  def verbs(common, ask, folder) do
+    common = common ++ ClusterLog.options()
+
     [
       %Verb{
         words: ["cluster", "kept"],
@@ -28,7 +30,7 @@ defmodule Situ.CLI.ClusterKept do
           "situ cluster kept --node situ-9301@127.0.0.1",
           "situ cluster kept --log nats://lab1:4222"
         ],
-        run: fn _, opts -> opts |> keeper(ask) |> list(opts) end
+        run: fn _, opts -> opts |> keeper(ask, folder) |> list(opts) end
       },
       %Verb{
         words: ["cluster", "prune"],
@@ -52,14 +54,14 @@ defmodule Situ.CLI.ClusterKept do
           "situ cluster prune --older-than 24h --node situ-9301@127.0.0.1",
           "situ cluster prune Hall --log /var/lib/situ/log"
         ],
-        run: fn %{deployments: names}, opts -> names |> prune(opts, keeper(opts, ask)) end
+        run: fn %{deployments: names}, opts -> names |> prune(opts, keeper(opts, ask, folder)) end
       }
     ]
   end
 
   # Who is asked: what is kept, the names of those that nodes know, and taking one away.
-  defp keeper(opts, ask) do
-    if opts[:log], do: by_log(opts[:log]), else: by_node(opts, ask)
+  defp keeper(opts, ask, folder) do
+    if opts[:log], do: by_log(opts[:log], opts, folder.(opts)), else: by_node(opts, ask)
   end
 
   defp by_node(opts, ask) do
@@ -70,10 +72,10 @@ defmodule Situ.CLI.ClusterKept do
     }
   end
 
-  defp by_log(address) do
+  defp by_log(address, opts, identity) do
     address = if String.contains?(address, "://"), do: address, else: existing(address)
     {:ok, _} = Application.ensure_all_started(:situ_remote)
-    log = Error.unwrap!(Log.connect(address, []))
+    log = Error.unwrap!(Log.connect(address, ClusterLog.connect_options(address, opts, identity)))
 
     %{
       kept: fn -> Past.list(log) end,

@@ -8,9 +8,9 @@ defmodule Situ.CLI.ClusterNode do
 
   @type ask :: (keyword(), module(), atom(), list() -> term())
 
-  @doc "`ask` calls a function on a node of the cluster."
-  @spec verbs([Option.t()], ask()) :: [Verb.t()]
-  def verbs(common, ask) do
+  @doc "`ask` calls a function on a node of the cluster, `folder` names the cluster's identity."
+  @spec verbs([Option.t()], ask(), (keyword() -> Path.t())) :: [Verb.t()]
+  def verbs(common, ask, folder) do
     [
       %Verb{
         words: ["cluster", "logs"],
@@ -54,7 +54,7 @@ defmodule Situ.CLI.ClusterNode do
         examples: ["situ cluster balance Hall --node situ-9301@127.0.0.1"],
         run: fn %{deployment: name}, opts -> balance(name, opts, ask) end
       }
-      | ClusterKept.verbs(common, ask)
+      | ClusterKept.verbs(common, ask, folder)
     ]
   end
 

@@ -1,15 +1,20 @@
 defmodule Situ.Cluster.Identity do
   @moduledoc """
-  The identity shared by a cluster's nodes: a cookie, and certificates for TLS between them, in a folder that only its
-  owner reads. Made once, then copied to every machine.
+  The identity shared by a cluster's nodes: a cookie, certificates for TLS between them, and what they need for a NATS
+  server of their own, in a folder that only its owner reads. Made once, then copied to every machine.
 
-      cookie          the secret of Erlang's distribution
-      ca.pem          the cluster's own authority: nobody else's certificates count
-      node.pem/.key   the certificate of every node
+      cookie            the secret of Erlang's distribution and of the seals in the log
+      ca.pem            the cluster's own authority: nobody else's certificates count
+      node.pem/.key     the certificate of every node
+      nats.pem/.key     the certificate by which a NATS server knows a node
+      nats-ca.pem       the authority of that server
+      nats-credentials  user and password there
+      nats-server/      for the machine of the NATS server alone: its configuration and certificates
 
   `bin/situ cluster` and `bin/situ-node` of a release give them to Erlang (`rel/overlays/bin/cluster-flags`).
   """
   alias Situ.{Certificate, Error}
+  alias Situ.Cluster.NatsIdentity
 
   @days 3_652
 
@@ -32,6 +37,8 @@ defmodule Situ.Cluster.Identity do
   defp write(folder) do
     issued = Certificate.issue("a cluster of Situ", days: @days)
 
+    {of_node, of_server} = NatsIdentity.issue(@days)
+
     files = [
       {"ca.pem", issued.authority},
       {"node.pem", issued.certificate},
@@ -41,7 +48,11 @@ defmodule Situ.Cluster.Identity do
 
     with :ok <- File.mkdir_p(folder),
          :ok <- File.chmod(folder, 0o700),
-         :ok <- all(files, folder) do
+         server = Path.join(folder, NatsIdentity.folder()),
+         :ok <- File.mkdir_p(server),
+         :ok <- File.chmod(server, 0o700),
+         :ok <- all(of_server, server),
+         :ok <- all(of_node ++ files, folder) do
       :ok
     else
       {:error, reason} ->
@@ -70,9 +81,22 @@ defmodule Situ.Cluster.Identity do
   @doc false
   @spec verify(term(), term(), term()) :: {:valid | :unknown, term()} | {:fail, term()}
   def verify(_certificate, {:bad_cert, :hostname_check_failed}, state), do: {:valid, state}
+
+  # As later versions of OTP have it.
+  def verify(_certificate, {:bad_cert, reason}, state)
+      when is_tuple(reason) and elem(reason, 0) == :hostname_check_failed,
+      do: {:valid, state}
+
   def verify(_certificate, {:bad_cert, reason}, _state), do: {:fail, reason}
   def verify(_certificate, {:extension, _}, state), do: {:unknown, state}
   def verify(_certificate, valid, state) when valid in [:valid, :valid_peer], do: {:valid, state}
+
+  @doc """
+  The options of `Situ.Remote.Log.connect/2` for a NATS server that was set up with this identity; `[]` where it has
+  none.
+  """
+  @spec log_options(Path.t()) :: keyword()
+  def log_options(folder), do: NatsIdentity.log_options(folder, {&verify/3, []})
 
   @doc "The cookie in a folder."
   @spec cookie(Path.t()) :: {:ok, atom()} | {:error, Error.t()}

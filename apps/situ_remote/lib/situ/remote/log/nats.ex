@@ -11,8 +11,9 @@ defmodule Situ.Remote.Log.Nats do
   server that is lost is looked for again, in the list and in turn; meanwhile everything answers
   `{:error, %Situ.Error{code: :log_away}}`, and may be tried again as it is.
 
-  The address may hold `user:password@` or `token@`. A stream costs its server two open files and about 80 KB of
-  memory (ADR 0118): raise the server's limit of open files (`LimitNOFILE`) before you log some thousands.
+  The address may hold `user:password@` or `token@`; better is a file (`credentials:`). A stream costs its server two
+  open files and about 80 KB of memory (ADR 0118): raise the server's limit of open files (`LimitNOFILE`) before you log
+  some thousands.
 
   ## Options
 
@@ -21,7 +22,7 @@ defmodule Situ.Remote.Log.Nats do
 
   alias Situ.{Error, JSON, Options}
   alias Situ.Remote.Log.Entry
-  alias Situ.Remote.Log.Nats.{Api, Connection, Kept, Servers}
+  alias Situ.Remote.Log.Nats.{Api, Connection, Kept, Layout, Servers}
 
   @schema [
     replicas: [type: {:range, 1, 5}, default: 1, doc: "On how many servers each entry is."],
@@ -49,6 +50,11 @@ defmodule Situ.Remote.Log.Nats do
     tls: [
       type: {:optional, :keyword},
       doc: "Options of `:ssl`: TLS is used, and the server's name checked."
+    ],
+    credentials: [
+      type: {:optional, :string},
+      doc:
+        "A file whose first line is `user:password` or a token: unlike the address, it is in no list of processes."
     ],
     timeout: [type: :pos_integer, default: 2_000, doc: "Ms to wait for an answer."],
     wait: [
@@ -82,11 +88,12 @@ defmodule Situ.Remote.Log.Nats do
   def connect(address, opts) do
     with {:ok, opts} <- Options.validate(opts, @schema),
          {:ok, servers, login} <- Servers.parse(address),
+         {:ok, login} <- Servers.login(login, opts[:credentials]),
          :ok <- Servers.domain(opts[:domain]),
          own? = opts[:domain] == nil,
          settings = [
            servers: servers,
-           login: login,
+           login: fn -> login end,
            tls: opts[:tls],
            jetstream: own?,
            wait: opts[:wait]
@@ -97,7 +104,7 @@ defmodule Situ.Remote.Log.Nats do
            api: if(own?, do: "$JS.API.", else: "$JS.#{opts[:domain]}.API."),
            stream: opts[:stream],
            timeout: opts[:timeout],
-           config: config(opts),
+           config: Layout.config(opts),
            prepared: :atomics.new(1, [])
          },
          :ok <- log |> ready() |> or_later(opts[:wait]) do
@@ -113,7 +120,7 @@ defmodule Situ.Remote.Log.Nats do
     if :atomics.get(prepared, 1) == 1 do
       :ok
     else
-      with :ok <- usable(log), do: :atomics.put(prepared, 1, 1)
+      with :ok <- Layout.prepare(log), do: :atomics.put(prepared, 1, 1)
     end
   end
 
@@ -127,62 +134,6 @@ defmodule Situ.Remote.Log.Nats do
 
       {:error, reason} ->
         {:error, Error.new(:log_away, "no connection: #{inspect(reason, limit: 5)}")}
-    end
-  end
-
-  defp config(opts) do
-    %{
-      "storage" => "file",
-      "num_replicas" => opts[:replicas],
-      "allow_direct" => true,
-      "discard" => if(opts[:when_full] == :refuse, do: "new", else: "old"),
-      "max_bytes" => opts[:max_bytes] || -1,
-      "max_age" => opts[:max_age] || 0
-    }
-  end
-
-  # Retention is for streams: keys have their last message each.
-  defp usable(log) do
-    keys =
-      Map.merge(Map.take(log.config, ~w(storage num_replicas allow_direct)), %{
-        "name" => log.stream <> "_KEYS",
-        "subjects" => ["situ.k.>"],
-        "max_msgs_per_subject" => 2
-      })
-
-    with :ok <- not_older(log),
-         {:error, %Error{code: :no_stream}} <- Api.info(log, keys["name"]) do
-      Api.made(log, keys)
-    else
-      # One of an older version kept one entry of each.
-      {:ok, %{"config" => %{"max_msgs_per_subject" => 1} = config}} ->
-        Api.changed(log, %{config | "max_msgs_per_subject" => 2})
-
-      {:ok, _info} ->
-        :ok
-
-      error ->
-        error
-    end
-  end
-
-  # One JetStream stream for all of ours: nothing could be written beside it, since it takes their subjects.
-  defp not_older(log) do
-    case Api.info(log, log.stream) do
-      {:ok, _info} ->
-        {:error,
-         Error.new(
-           :old_layout,
-           "the server has a log of an older version of Situ (#{log.stream})",
-           why: "all streams were one JetStream stream; now each has its own",
-           fix: "remove it when nobody needs it any more: nats stream rm #{log.stream}"
-         )}
-
-      {:error, %Error{code: :no_stream}} ->
-        :ok
-
-      error ->
-        error
     end
   end
 

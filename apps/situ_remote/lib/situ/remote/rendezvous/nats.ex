@@ -29,7 +29,8 @@ defmodule Situ.Remote.Rendezvous.Nats do
   @spec find(String.t(), String.t()) :: String.t() | nil
   def find(server, name) do
     with {:ok, servers, login} <- Servers.parse(server),
-         {:ok, connection} <- Connection.start(servers: servers, login: login, jetstream: false) do
+         {:ok, connection} <-
+           Connection.start(servers: servers, login: fn -> login end, jetstream: false) do
       answer = Connection.request(connection, subject(name), [], "", @find_ms)
       GenServer.stop(connection)
 
@@ -55,7 +56,7 @@ defmodule Situ.Remote.Rendezvous.Nats do
 
     start = [
       servers: servers,
-      login: login,
+      login: fn -> login end,
       tls: opts[:tls],
       jetstream: false,
       subjects: subjects

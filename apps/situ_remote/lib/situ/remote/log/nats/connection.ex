@@ -7,13 +7,11 @@ defmodule Situ.Remote.Log.Nats.Connection do
   use GenServer
 
   alias Situ.{Error, JSON}
-  alias Situ.Remote.Link.Socket
-  alias Situ.Remote.Log.Nats.Wire
+  alias Situ.Remote.Log.Nats.{Dial, Wire}
   require Logger
 
   # Behind the payload: headers of requests and answers.
   @headers 65_536
-  @first_ms 3_000
   @again_ms 100
 
   defstruct [
@@ -251,170 +249,17 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
   # Connecting
 
-  defp connect(%{servers: [{host, port} | _]} = state) do
-    options = [
-      :binary,
-      active: false,
-      nodelay: true,
-      keepalive: true,
-      send_timeout: 5_000,
-      send_timeout_close: true
-    ]
-
-    with {:ok, socket} <-
-           reached(:gen_tcp.connect(to_charlist(host), port, options, @first_ms), state),
-         {:ok, info, rest} <- greeting(socket, "", state),
-         :ok <- usable(info, state),
-         {:ok, transport, socket} <- secure(socket, info, state),
-         inbox = "_INBOX." <> Base.encode16(:crypto.strong_rand_bytes(10)),
-         :ok <- hello(transport, socket, inbox, state),
-         state = %{state | transport: transport, socket: socket, inbox: inbox, info: info},
-         {:ok, rest} <- welcomed(state, rest) do
+  defp connect(%{servers: [server | _]} = state) do
+    with {:ok, dialed} <- Dial.connect(server, state.opts) do
+      %{transport: transport, socket: socket, inbox: inbox, info: info, rest: rest} = dialed
+      state = %{state | transport: transport, socket: socket, inbox: inbox, info: info}
       {:ok, %{state | buffer: rest} |> told(:up) |> received()}
-    end
-  end
-
-  defp reached({:ok, socket}, _state), do: {:ok, socket}
-
-  defp reached({:error, reason}, state) do
-    {:error,
-     Error.new(:log_away, "no NATS server at #{server(state)}: #{Socket.reason_text(reason)}",
-       fix: "start nats-server with JetStream (nats-server -js), or correct the address"
-     )}
-  end
-
-  defp greeting(socket, read, state) do
-    with {:ok, bytes} <- :gen_tcp.recv(socket, 0, @first_ms),
-         {:ok, {:info, json}, rest} <- Wire.parse(read <> bytes, @headers),
-         {:ok, info} when is_map(info) <- JSON.decode(json) do
-      {:ok, info, rest}
-    else
-      :more when byte_size(read) < @headers ->
-        greeting(socket, read, state)
-
-      _ ->
-        :gen_tcp.close(socket)
-        {:error, Error.new(:log_away, "#{server(state)} does not speak the protocol of NATS")}
-    end
-  end
-
-  defp usable(info, state) do
-    version = to_string(info["version"])
-
-    cond do
-      old?(version) ->
-        {:error,
-         Error.new(:old_server, "the NATS server at #{server(state)} is #{version}",
-           fix: "use 2.9 or newer"
-         )}
-
-      info["jetstream"] != true and state.opts[:jetstream] != false ->
-        {:error,
-         Error.new(:no_jetstream, "the NATS server at #{server(state)} stores nothing",
-           why: "JetStream is off",
-           fix: "start it with -js and a folder: nats-server -js -sd FOLDER"
-         )}
-
-      true ->
-        :ok
-    end
-  end
-
-  defp old?(version) do
-    case Version.parse(version) do
-      {:ok, version} -> Version.compare(version, "2.9.0") == :lt
-      :error -> true
-    end
-  end
-
-  defp secure(socket, info, state) do
-    tls = state.opts[:tls]
-
-    cond do
-      tls != nil ->
-        [{host, _} | _] = state.servers
-
-        tls = Keyword.merge([verify: :verify_peer] ++ named(to_charlist(host)), tls)
-
-        upgraded(:ssl.connect(socket, tls, @first_ms), state)
-
-      info["tls_required"] == true ->
-        {:error,
-         Error.new(:tls_required, "the NATS server at #{server(state)} wants TLS",
-           fix: "give tls: [cacertfile: ...]"
-         )}
-
-      true ->
-        {:ok, :gen_tcp, socket}
-    end
-  end
-
-  # A number is looked for among the addresses of a certificate, which Erlang does only where no name was given.
-  defp named(host) do
-    if match?({:ok, _}, :inet.parse_address(host)),
-      do: [],
-      else: [server_name_indication: host]
-  end
-
-  defp upgraded({:ok, socket}, _state), do: {:ok, :ssl, socket}
-
-  defp upgraded({:error, reason}, state) do
-    {:error,
-     Error.new(:tls_failed, "no TLS with #{server(state)}: #{inspect(reason, limit: 8)}",
-       fix: "check cacertfile:, certfile: and keyfile:"
-     )}
-  end
-
-  defp hello(transport, socket, inbox, state) do
-    login = Map.new(state.opts[:login] || %{})
-
-    options =
-      Map.merge(login, %{
-        "verbose" => false,
-        "pedantic" => false,
-        "headers" => true,
-        "no_responders" => true,
-        "lang" => "elixir",
-        "name" => "situ",
-        "version" => "1"
-      })
-
-    subjects = Enum.with_index([inbox <> ".*" | state.opts[:subjects] || []], 1)
-    subscriptions = for {subject, i} <- subjects, do: "SUB #{subject} #{i}\r\n"
-    lines = ["CONNECT ", JSON.encode(options), "\r\n", subscriptions, "PING\r\n"]
-    with {:error, reason} <- transport.send(socket, lines), do: reached({:error, reason}, state)
-  end
-
-  defp welcomed(state, read) do
-    case Wire.parse(read, @headers) do
-      {:ok, :pong, rest} ->
-        {:ok, rest}
-
-      {:ok, {:failure, text}, _rest} ->
-        state.transport.close(state.socket)
-
-        {:error,
-         Error.new(:refused_login, "#{server(state)} refuses the connection: #{text}",
-           fix: "check user and password, or the token"
-         )}
-
-      {:ok, _frame, rest} ->
-        welcomed(state, rest)
-
-      :more ->
-        case state.transport.recv(state.socket, 0, @first_ms) do
-          {:ok, bytes} -> welcomed(state, read <> bytes)
-          {:error, reason} -> reached({:error, reason}, state)
-        end
-
-      {:error, _} ->
-        {:error, Error.new(:log_away, "#{server(state)} does not speak the protocol of NATS")}
     end
   end
 
   defp most(info), do: Map.get(info || %{}, "max_payload", 1_048_576) * 2 + @headers
 
-  defp server(%{servers: [{host, port} | _]}), do: "#{host}:#{port}"
+  defp server(%{servers: [server | _]}), do: Dial.name(server)
 
   # Passwords have no place in a log.
   @impl true

@@ -10,7 +10,7 @@ defmodule Situ.Remote.Log.Nats.Servers do
     {login, hosts} =
       case String.split(rest, "@", parts: 2) do
         [hosts] -> {%{}, hosts}
-        [login, hosts] -> {login(String.split(login, ":", parts: 2)), hosts}
+        [login, hosts] -> {unescaped(String.split(login, ":", parts: 2)), hosts}
       end
 
     servers = hosts |> String.split(",", trim: true) |> Enum.map(&server/1)
@@ -24,8 +24,41 @@ defmodule Situ.Remote.Log.Nats.Servers do
       else: {:ok, servers, login}
   end
 
-  defp login([user, password]), do: %{"user" => URI.decode(user), "pass" => URI.decode(password)}
-  defp login([token]), do: %{"auth_token" => URI.decode(token)}
+  @doc "The login of an address, or of the first line of a file."
+  @spec login(map(), Path.t() | nil) :: {:ok, map()} | {:error, Error.t()}
+  def login(login, nil), do: {:ok, login}
+
+  def login(login, _file) when login != %{} do
+    {:error,
+     Error.new(:bad_option, "the address of the log and credentials: both say who logs in",
+       fix: "write nats://host:4222, and user and password into the file alone"
+     )}
+  end
+
+  def login(_none, file) do
+    with {:ok, text} <- File.read(file),
+         line when line != "" <- text |> String.split("\n") |> hd() |> String.trim() do
+      {:ok, line |> String.split(":", parts: 2) |> named()}
+    else
+      {:error, reason} -> {:error, no_credentials(file, to_string(:file.format_error(reason)))}
+      "" -> {:error, no_credentials(file, "its first line is empty")}
+    end
+  end
+
+  defp named([user, password]), do: %{"user" => user, "pass" => password}
+  defp named([token]), do: %{"auth_token" => token}
+
+  defp no_credentials(file, why) do
+    Error.new(:no_credentials, "there are no credentials in #{file}",
+      why: why,
+      fix: "its first line is user:password, or a token"
+    )
+  end
+
+  defp unescaped([user, password]),
+    do: %{"user" => URI.decode(user), "pass" => URI.decode(password)}
+
+  defp unescaped([token]), do: %{"auth_token" => URI.decode(token)}
 
   defp server(text) do
     case String.split(text, ":") do

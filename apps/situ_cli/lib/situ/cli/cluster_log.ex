@@ -1,0 +1,79 @@
+defmodule Situ.CLI.ClusterLog do
+  @moduledoc false
+  # How the verbs of `situ cluster` log in to a NATS server: by the files of the cluster's identity, unless others are
+  # named. No password has to stand on the command line, which every user of the machine can read.
+  alias Situ.Cluster.Identity
+  alias Situ.CLI.{Option, Output}
+  alias Situ.Error
+
+  @doc "The options for a log in NATS."
+  @spec options() :: [Option.t()]
+  def options do
+    [
+      Option.new(
+        :log_credentials,
+        :path,
+        "with nats://: a file whose first line is user:password",
+        value: "FILE"
+      ),
+      Option.new(:log_ca, :path, "with nats://: who has signed the server's certificate",
+        value: "FILE"
+      ),
+      Option.new(:log_cert, :path, "with nats://: the certificate to show", value: "FILE"),
+      Option.new(:log_key, :path, "with nats://: its key", value: "FILE"),
+      Option.new(:log_plain, :flag, "with nats://: nothing of the cluster's folder, no TLS")
+    ]
+  end
+
+  @doc "The options of `Situ.Remote.Log.connect/2` for an address."
+  @spec connect_options(String.t(), keyword(), Path.t()) :: keyword()
+  def connect_options("nats://" <> rest, opts, identity) do
+    own = if opts[:log_plain], do: [], else: Identity.log_options(identity)
+    own = if login?(rest), do: Keyword.delete(own, :credentials), else: own
+    named = for {key, file} <- [credentials: opts[:log_credentials]], file, do: {key, file}
+    own |> Keyword.merge(named) |> with_tls(tls(opts))
+  end
+
+  def connect_options(_folder, opts, _identity) do
+    case Enum.find([:log_credentials, :log_ca, :log_cert, :log_key], &opts[&1]) do
+      nil -> []
+      name -> raise Error.new(:usage, "a log that is a folder has no #{flag(name)}", fix: fix())
+    end
+  end
+
+  defp flag(name), do: "--" <> String.replace(Atom.to_string(name), "_", "-")
+  defp fix, do: "give it with --log nats://host:4222, or leave it out"
+
+  # A password in the address works, and can be read by others.
+  defp login?(rest) do
+    login? = String.contains?(rest, "@")
+
+    if login? do
+      Output.warn(
+        "situ cluster: the login in --log stands in the list of processes, where every user of this machine reads it;" <>
+          " write it into a file and give --log-credentials FILE"
+      )
+    end
+
+    login?
+  end
+
+  defp tls(opts) do
+    for {key, file} <- [
+          cacertfile: opts[:log_ca],
+          certfile: opts[:log_cert],
+          keyfile: opts[:log_key]
+        ],
+        file,
+        do: {key, file}
+  end
+
+  # Another authority is asked about the name of the server's machine, too.
+  defp with_tls(options, []), do: options
+
+  defp with_tls(options, named) do
+    tls = options[:tls] || []
+    tls = if named[:cacertfile], do: Keyword.delete(tls, :verify_fun), else: tls
+    Keyword.put(options, :tls, Keyword.merge(tls, named))
+  end
+end

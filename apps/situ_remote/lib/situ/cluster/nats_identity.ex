@@ -1,0 +1,78 @@
+defmodule Situ.Cluster.NatsIdentity do
+  @moduledoc """
+  The files by which a cluster's nodes and its NATS server know each other: TLS with a certificate on each side, and a
+  password. `Situ.Cluster.Identity.create/1` makes them.
+
+  Each side has an authority of its own, so the server's machine holds nothing that a node could be started with. The
+  server's files are in a folder that may be moved: it is started there by `nats-server -c nats-server.conf`.
+  """
+  alias Situ.Certificate
+
+  @folder "nats-server"
+  @user "situ"
+
+  @doc "The name of the server's folder, in that of the identity."
+  @spec folder() :: String.t()
+  def folder, do: @folder
+
+  @doc "Names and contents of the files of a node and of those of the server; they last for `days`."
+  @spec issue(pos_integer()) :: {[{String.t(), String.t()}], [{String.t(), String.t()}]}
+  def issue(days) do
+    server = Certificate.issue("the NATS server of a cluster of Situ", days: days)
+    node = Certificate.issue("a node at its NATS server", days: days)
+    password = Base.encode32(:crypto.strong_rand_bytes(30), case: :lower, padding: false)
+
+    {[
+       {"nats.pem", node.certificate},
+       {"nats.key", node.key},
+       {"nats-ca.pem", server.authority},
+       {"nats-credentials", "#{@user}:#{password}\n"}
+     ],
+     [
+       {"server.pem", server.certificate},
+       {"server.key", server.key},
+       {"clients.pem", node.authority},
+       {"nats-server.conf", config(password)}
+     ]}
+  end
+
+  defp config(password) do
+    """
+    # NATS for the log of a cluster of Situ. Move this folder to the machine of the server, for its owner's eyes only,
+    # and start it here: nats-server -c nats-server.conf
+    #
+    # A program must show a certificate that clients.pem has signed, and know the password.
+    listen: "0.0.0.0:4222"
+    jetstream { store_dir: "data" }
+    tls {
+      cert_file: "server.pem"
+      key_file: "server.key"
+      ca_file: "clients.pem"
+      verify: true
+      timeout: 10
+    }
+    authorization { user: "#{@user}", password: "#{password}" }
+    """
+  end
+
+  @doc "The options of `Situ.Remote.Log.connect/2` that the files in `identity` give; `verify` checks the server."
+  @spec log_options(Path.t(), {fun(), term()}) :: keyword()
+  def log_options(identity, verify) do
+    file = &Path.join(identity, &1)
+
+    if File.exists?(file.("nats.pem")) do
+      # The server is known by its authority, which signs nothing else; its machine may have any name.
+      tls = [
+        cacertfile: file.("nats-ca.pem"),
+        certfile: file.("nats.pem"),
+        keyfile: file.("nats.key"),
+        verify: :verify_peer,
+        verify_fun: verify
+      ]
+
+      [credentials: file.("nats-credentials"), tls: tls]
+    else
+      []
+    end
+  end
+end

@@ -1,0 +1,207 @@
+defmodule Situ.Remote.Log.Nats.Dial do
+  @moduledoc false
+  # Connects to one NATS server: its greeting, TLS, login, and the subjects to hear of.
+  alias Situ.{Error, JSON}
+  alias Situ.Remote.Log.Nats.Wire
+
+  @headers 65_536
+  @first_ms 3_000
+
+  @type server :: {String.t(), :inet.port_number()}
+  @type dialed :: %{
+          transport: :gen_tcp | :ssl,
+          socket: term(),
+          inbox: String.t(),
+          info: map(),
+          rest: binary()
+        }
+
+  @doc "`opts` are those of the connection: `login`, `tls`, `subjects`, `jetstream`."
+  @spec connect(server(), keyword()) :: {:ok, dialed()} | {:error, Error.t()}
+  def connect({host, port} = server, opts) do
+    state = %{server: server, opts: opts, transport: nil, socket: nil}
+
+    options = [
+      :binary,
+      active: false,
+      nodelay: true,
+      keepalive: true,
+      send_timeout: 5_000,
+      send_timeout_close: true
+    ]
+
+    with {:ok, socket} <-
+           reached(:gen_tcp.connect(to_charlist(host), port, options, @first_ms), state),
+         {:ok, info, rest} <- greeting(socket, "", state),
+         :ok <- usable(info, state),
+         {:ok, transport, socket} <- secure(socket, info, state),
+         inbox = "_INBOX." <> Base.encode16(:crypto.strong_rand_bytes(10)),
+         :ok <- hello(transport, socket, inbox, state),
+         {:ok, rest} <- welcomed(%{state | transport: transport, socket: socket}, rest) do
+      {:ok, %{transport: transport, socket: socket, inbox: inbox, info: info, rest: rest}}
+    end
+  end
+
+  @doc "A server, for people."
+  @spec name(server()) :: String.t()
+  def name({host, port}), do: "#{host}:#{port}"
+
+  defp reached({:ok, socket}, _state), do: {:ok, socket}
+
+  defp reached({:error, reason}, state) do
+    {:error,
+     Error.new(:log_away, "no NATS server at #{name(state.server)}: #{reason_text(reason)}",
+       fix: "start nats-server with JetStream (nats-server -js), or correct the address"
+     )}
+  end
+
+  defp greeting(socket, read, state) do
+    with {:ok, bytes} <- :gen_tcp.recv(socket, 0, @first_ms),
+         {:ok, {:info, json}, rest} <- Wire.parse(read <> bytes, @headers),
+         {:ok, info} when is_map(info) <- JSON.decode(json) do
+      {:ok, info, rest}
+    else
+      :more when byte_size(read) < @headers ->
+        greeting(socket, read, state)
+
+      _ ->
+        :gen_tcp.close(socket)
+
+        {:error,
+         Error.new(:log_away, "#{name(state.server)} does not speak the protocol of NATS")}
+    end
+  end
+
+  defp usable(info, state) do
+    version = to_string(info["version"])
+
+    cond do
+      old?(version) ->
+        {:error,
+         Error.new(:old_server, "the NATS server at #{name(state.server)} is #{version}",
+           fix: "use 2.9 or newer"
+         )}
+
+      info["jetstream"] != true and state.opts[:jetstream] != false ->
+        {:error,
+         Error.new(:no_jetstream, "the NATS server at #{name(state.server)} stores nothing",
+           why: "JetStream is off",
+           fix: "start it with -js and a folder: nats-server -js -sd FOLDER"
+         )}
+
+      true ->
+        :ok
+    end
+  end
+
+  defp old?(version) do
+    case Version.parse(version) do
+      {:ok, version} -> Version.compare(version, "2.9.0") == :lt
+      :error -> true
+    end
+  end
+
+  defp secure(socket, info, state) do
+    tls = state.opts[:tls]
+
+    cond do
+      tls != nil and not (info["tls_required"] == true or info["tls_available"] == true) ->
+        :gen_tcp.close(socket)
+
+        {:error,
+         Error.new(:no_tls, "the NATS server at #{name(state.server)} does not speak TLS",
+           why:
+             "certificates are given for it, and without TLS everybody on the way reads the log",
+           fix:
+             "start it with the configuration of `situ cluster init` (nats-server -c nats-server.conf), or leave out" <>
+               " tls: (--log-plain)"
+         )}
+
+      tls != nil ->
+        {host, _port} = state.server
+
+        tls = Keyword.merge([verify: :verify_peer] ++ named(to_charlist(host)), tls)
+
+        upgraded(:ssl.connect(socket, tls, @first_ms), state)
+
+      info["tls_required"] == true ->
+        {:error,
+         Error.new(:tls_required, "the NATS server at #{name(state.server)} wants TLS",
+           fix:
+             "give tls: [cacertfile: ...], or use the folder of `situ cluster init` that the server is from"
+         )}
+
+      true ->
+        {:ok, :gen_tcp, socket}
+    end
+  end
+
+  # A number is looked for among the addresses of a certificate, which Erlang does only where no name was given.
+  defp named(host) do
+    if match?({:ok, _}, :inet.parse_address(host)),
+      do: [],
+      else: [server_name_indication: host]
+  end
+
+  defp upgraded({:ok, socket}, _state), do: {:ok, :ssl, socket}
+
+  defp upgraded({:error, reason}, state) do
+    {:error,
+     Error.new(:tls_failed, "no TLS with #{name(state.server)}: #{inspect(reason, limit: 8)}",
+       fix: "check cacertfile:, certfile: and keyfile:"
+     )}
+  end
+
+  defp hello(transport, socket, inbox, state) do
+    # A function, so that no state of a process shows it.
+    login = if state.opts[:login], do: state.opts[:login].(), else: %{}
+
+    options =
+      Map.merge(login, %{
+        "verbose" => false,
+        "pedantic" => false,
+        "headers" => true,
+        "no_responders" => true,
+        "lang" => "elixir",
+        "name" => "situ",
+        "version" => "1"
+      })
+
+    subjects = Enum.with_index([inbox <> ".*" | state.opts[:subjects] || []], 1)
+    subscriptions = for {subject, i} <- subjects, do: "SUB #{subject} #{i}\r\n"
+    lines = ["CONNECT ", JSON.encode(options), "\r\n", subscriptions, "PING\r\n"]
+    with {:error, reason} <- transport.send(socket, lines), do: reached({:error, reason}, state)
+  end
+
+  defp welcomed(state, read) do
+    case Wire.parse(read, @headers) do
+      {:ok, :pong, rest} ->
+        {:ok, rest}
+
+      {:ok, {:failure, text}, _rest} ->
+        state.transport.close(state.socket)
+
+        {:error,
+         Error.new(:refused_login, "#{name(state.server)} refuses the connection: #{text}",
+           fix: "check user and password, or the token"
+         )}
+
+      {:ok, _frame, rest} ->
+        welcomed(state, rest)
+
+      :more ->
+        case state.transport.recv(state.socket, 0, @first_ms) do
+          {:ok, bytes} -> welcomed(state, read <> bytes)
+          {:error, reason} -> reached({:error, reason}, state)
+        end
+
+      {:error, _} ->
+        {:error,
+         Error.new(:log_away, "#{name(state.server)} does not speak the protocol of NATS")}
+    end
+  end
+
+  defp reason_text(:timeout), do: "no answer within #{div(@first_ms, 1_000)} s"
+  defp reason_text(:closed), do: "it closed the connection"
+  defp reason_text(reason), do: to_string(:inet.format_error(reason))
+end
