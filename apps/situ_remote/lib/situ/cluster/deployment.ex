@@ -45,7 +45,8 @@ defmodule Situ.Cluster.Deployment do
       default: :all,
       doc:
         "How much of each stream the log keeps, ns of originating time. A part that comes back after longer than" <>
-          " that fails (`:log_trimmed`): it cannot know what it has missed."
+          " that fails (`:log_trimmed`): it cannot know what it has missed. A part that records, or whose components" <>
+          " cannot be carried over, begins with the first message: such a part needs `:all`."
     ],
     balance: [
       type: {:optional, :pos_integer},

@@ -1,6 +1,7 @@
 defmodule Situ.Examples.Demo.Cluster do
   @usage """
   Usage: bin/demo --cluster [--input FILE] [--out FOLDER] [--kill lips|sound|recording|none]
+                            [--headless]
 
   The demo on three nodes of this machine, each an OS process of its own: the recording (with the clip), sound and
   lips apart. In the middle one node is killed with -9. The last line says whether the recording equals that of the
@@ -9,6 +10,7 @@ defmodule Situ.Examples.Demo.Cluster do
     --input FILE   a media file (default: the clip that comes with Situ)
     --out FOLDER   where both recordings go (default: "recordings/cluster")
     --kill PART    whose node is killed (default: lips)
+    --headless     as without it: no studio is served here
 
   Exit status: 0 equal, 1 not equal or failed, 2 wrong usage.
   """
@@ -34,7 +36,8 @@ defmodule Situ.Examples.Demo.Cluster do
         ) ::
           0 | 1 | 2
   def run(argv, record) do
-    switches = [cluster: :boolean, input: :string, out: :string, kill: :string, help: :boolean]
+    switches = [cluster: :boolean, input: :string, out: :string, kill: :string]
+    switches = [headless: :boolean, help: :boolean] ++ switches
     argv = argv -- ["--"]
 
     case OptionParser.parse(argv, strict: switches, aliases: [h: :help]) do
