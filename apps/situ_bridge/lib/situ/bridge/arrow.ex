@@ -34,7 +34,8 @@ defmodule Situ.Bridge.Arrow do
   Rows and columns are those of `Situ.Bridge.Parquet`; such a file is larger, and faster to write and to read. Written
   are plain batches. Read are files and streams of Arrow: numbers, booleans, texts and bytes (their views too), times,
   dates, decimals, dictionaries of these, lists, maps and structs of all of them, also packed by LZ4 or zstd. Other
-  columns (unions, runs, intervals) are left out; one that is asked for by name is an error.
+  columns (unions, list views, run-end encoded ones, intervals, dictionaries of lists or structs) are left out, and a
+  warning names them; asking for one of them, or reading a file with no others, is an error.
 
   ## Options of `export/3`
 
@@ -116,8 +117,17 @@ defmodule Situ.Bridge.Arrow do
   end
 
   @doc """
-  The rows as a lazy enumerable of `{time, value}`, read by batch. Raises `Situ.Error`: `:io`, `:not_arrow`,
-  `:no_column`.
+  Returns the columns of a file, and the names and types of those that are left out because their types are not read.
+  Of several columns of one name, the later ones are numbered: `x`, `x_1`. Errors: `:io`, `:not_arrow`.
+  """
+  @spec columns(Path.t()) ::
+          {:ok, %{columns: [String.t()], left_out: [{name :: String.t(), type :: String.t()}]}}
+          | {:error, Error.t()}
+  def columns(path), do: Columnar.columns(File, path)
+
+  @doc """
+  The rows as a lazy enumerable of `{time, value}`. Memory is that of some rows; of a packed batch, that of its columns
+  that are wanted. Columns that are left out are logged. Raises `Situ.Error`: `:io`, `:not_arrow`, `:no_column`.
   """
   @spec messages(Path.t(), keyword()) :: Enumerable.t()
   def messages(path, opts \\ []), do: Columnar.messages(File, path, opts)

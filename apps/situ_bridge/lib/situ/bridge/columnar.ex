@@ -5,6 +5,7 @@ defmodule Situ.Bridge.Columnar do
   alias Situ.Bridge.Columnar.{Column, Joined, Reader, Rows}
   alias Situ.{Error, Store}
   alias Situ.Store.Columns
+  require Logger
 
   @times [
     %Column{name: "originating_time", kind: :time, optional?: false},
@@ -200,17 +201,26 @@ defmodule Situ.Bridge.Columnar do
     times ++ if(columns == [], do: [], else: Enum.zip_with(rows, & &1))
   end
 
-  @doc "The rows as a lazy enumerable of `{time, value}`, read by group. Raises `Situ.Error`."
+  @doc "The columns of a file, and those that are left out. Errors: those of the format."
+  @spec columns(module(), Path.t()) ::
+          {:ok, %{columns: [String.t()], left_out: [{String.t(), String.t()}]}}
+          | {:error, Error.t()}
+  def columns(reader, path) do
+    with {:ok, table} <- reader.open(path) do
+      {:ok, %{columns: Enum.map(table.columns, & &1.name), left_out: table.left_out}}
+    end
+  end
+
+  @doc "The rows as a lazy enumerable of `{time, value}`, read some at a time. Raises `Situ.Error`."
   @spec messages(module(), Path.t(), keyword()) :: Enumerable.t()
   def messages(reader, path, opts) do
     table = Error.unwrap!(reader.open(path))
     time = time(table, opts[:time])
     wanted = wanted(table, opts[:columns], time)
+    if opts[:columns] == nil, do: warn_left_out(table)
 
     table.groups
-    |> Stream.flat_map(fn group ->
-      table |> reader.rows(group, [time | wanted]) |> Error.unwrap!()
-    end)
+    |> Stream.flat_map(&reader.stream_rows(table, &1, [time | wanted]))
     |> Stream.transform(nil, fn
       [time | values], last when is_integer(time) and (last == nil or time > last) ->
         {[{time, value(wanted, values)}], time}
@@ -219,6 +229,14 @@ defmodule Situ.Bridge.Columnar do
         {[], last}
     end)
   end
+
+  defp warn_left_out(%{left_out: []}), do: :ok
+
+  defp warn_left_out(table),
+    do: Logger.warning("#{table.path}: columns are left out: #{list_left_out(table)}")
+
+  defp list_left_out(table),
+    do: Enum.map_join(table.left_out, ", ", fn {name, type} -> "#{name} (#{type})" end)
 
   @doc "A source of a table's rows."
   @spec read(Situ.Pipeline.t(), Enumerable.t(), Path.t(), keyword()) :: Situ.Stream.t()
@@ -238,22 +256,41 @@ defmodule Situ.Bridge.Columnar do
 
     if found,
       do: column(table, found),
-      else: raise(no_column(table, "times; name one by `time:`"))
+      else: raise(no_column(table, "times", "name one with `time:`"))
   end
 
-  defp time(table, name), do: column(table, name) || raise(no_column(table, inspect(name)))
+  defp time(table, name), do: fetch_column(table, name)
 
   defp column(table, name), do: Enum.find(table.columns, &(&1.name == name))
 
-  defp wanted(table, nil, time),
-    do: Enum.reject(table.columns, &(&1.name in [time.name, "originating_time", "creation_time"]))
+  defp fetch_column(table, name) do
+    type = with {_name, type} <- List.keyfind(table.left_out, name, 0), do: type
 
-  defp wanted(table, names, _time),
-    do: for(name <- names, do: column(table, name) || raise(no_column(table, inspect(name))))
+    cond do
+      column = column(table, name) -> column
+      type -> raise no_column(table, "#{name} that can be read", "its type, #{type}, is not read")
+      true -> raise no_column(table, inspect(name), nil)
+    end
+  end
 
-  defp no_column(table, what) do
+  # All but the times, of which there is something to read at least.
+  defp wanted(table, nil, time) do
+    wanted =
+      Enum.reject(table.columns, &(&1.name in [time.name, "originating_time", "creation_time"]))
+
+    if wanted == [] and table.left_out != [],
+      do: raise(no_column(table, "values that can be read", nil)),
+      else: wanted
+  end
+
+  defp wanted(table, names, _time), do: Enum.map(names, &fetch_column(table, &1))
+
+  defp no_column(table, what, fix) do
+    left_out = if table.left_out != [], do: "; left out are #{list_left_out(table)}"
+
     Error.new(:no_column, "#{table.path} has no column of #{what}",
-      why: "its columns are #{Enum.map_join(table.columns, ", ", & &1.name)}"
+      why: "its columns are #{Enum.map_join(table.columns, ", ", & &1.name)}#{left_out}",
+      fix: fix
     )
   end
 

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Gzip do
   @moduledoc false
-  # Unpacks gzip step by step, to at most so many bytes: few packed bytes must not become all of the memory.
+  # Unpacks gzip step by step, to at most so many bytes: few packed bytes must not become all of the memory. Several
+  # members one after the other are one text (RFC 1952).
 
   @doc """
       iex> packed = :zlib.gzip("aaaaaaaaaa")
@@ -8,6 +9,8 @@ defmodule Situ.Bridge.Gzip do
       {{:ok, "aaaaaaaaaa"}, {:error, :too_large}}
       iex> Situ.Bridge.Gzip.unpack("no gzip", 9)
       {:error, :not_gzip}
+      iex> Situ.Bridge.Gzip.unpack(:zlib.gzip("one, ") <> :zlib.gzip("two"), 9)
+      {:ok, "one, two"}
   """
   @spec unpack(binary(), non_neg_integer()) ::
           {:ok, binary()} | {:error, :too_large | :not_gzip}
@@ -15,7 +18,7 @@ defmodule Situ.Bridge.Gzip do
     z = :zlib.open()
 
     try do
-      :zlib.inflateInit(z, 31)
+      :zlib.inflateInit(z, 31, :reset)
       inflate(z, :zlib.safeInflate(z, packed), most, [])
     rescue
       ErlangError -> {:error, :not_gzip}

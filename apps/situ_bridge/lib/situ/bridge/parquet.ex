@@ -118,8 +118,17 @@ defmodule Situ.Bridge.Parquet do
   end
 
   @doc """
-  The rows as a lazy enumerable of `{time, value}`, read by row group. Raises `Situ.Error`: `:io`, `:not_parquet`,
-  `:no_column`.
+  Returns the columns of a file, and the names and types of those that are left out because their types are not read.
+  Of several columns of one name, the later ones are numbered: `x`, `x_1`. Errors: `:io`, `:not_parquet`.
+  """
+  @spec columns(Path.t()) ::
+          {:ok, %{columns: [String.t()], left_out: [{name :: String.t(), type :: String.t()}]}}
+          | {:error, Error.t()}
+  def columns(path), do: Columnar.columns(File, path)
+
+  @doc """
+  The rows as a lazy enumerable of `{time, value}`. Memory is that of a page of each column that is wanted. Raises
+  `Situ.Error`: `:io`, `:not_parquet`, `:no_column`.
   """
   @spec messages(Path.t(), keyword()) :: Enumerable.t()
   def messages(path, opts \\ []), do: Columnar.messages(File, path, opts)

@@ -2,10 +2,12 @@ defmodule Situ.Bridge.ArrowTest do
   # Counts atoms.
   use ExUnit.Case, async: false
   use Situ.Test.Property
+  import ExUnit.CaptureLog
   alias Situ.Bridge.Arrow
-  alias Situ.Bridge.Arrow.{FlatBuffer, Values}
+  alias Situ.Bridge.Arrow.{Buffer, FlatBuffer, Values}
   alias Situ.Message
   doctest Arrow
+  doctest Buffer
   doctest Values
 
   @moduletag :tmp_dir
@@ -138,8 +140,59 @@ defmodule Situ.Bridge.ArrowTest do
                %{"l" => [], "m" => nil, "s" => nil}
              ]
 
-      assert {:ok, %{nested: []}} = Arrow.File.open(path)
+      assert {:ok, %{left_out: []}} = Arrow.columns(path)
     end
+  end
+
+  # Made by pyarrow 26.0.1.
+  test "columns that cannot be read are named, with their types" do
+    path = Path.join(@fixtures, "pyarrow-kinds.arrow")
+
+    left_out = [
+      {"u", "union"},
+      {"r", "run_end_encoded"},
+      {"l", "list_view"},
+      {"i", "interval"},
+      {"d", "dictionary of lists"},
+      {"s", "struct of list_view"}
+    ]
+
+    assert Arrow.columns(path) ==
+             {:ok, %{columns: ["t", "n", "k", "n_2", "n_1"], left_out: left_out}}
+
+    log =
+      capture_log(fn ->
+        assert values(path) == [
+                 %{"k" => %{"k" => 7, "k_1" => "p"}, "n" => 7, "n_1" => 7, "n_2" => "x"},
+                 %{"k" => %{"k" => 8, "k_1" => "q"}, "n" => 8, "n_1" => 8, "n_2" => "y"},
+                 %{"k" => %{"k" => 9, "k_1" => "r"}, "n" => 9, "n_1" => 9, "n_2" => "z"}
+               ]
+      end)
+
+    assert log =~ "u (union), r (run_end_encoded), l (list_view)"
+    assert capture_log(fn -> values(path, columns: ["n"]) end) == ""
+
+    error = assert_raise Situ.Error, fn -> Arrow.messages(path, columns: ["n", "u"]) end
+    assert {error.code, error.fix} == {:no_column, "its type, union, is not read"}
+  end
+
+  test "a file with no other columns than those is an error, not one without rows" do
+    path = Path.join(@fixtures, "pyarrow-unread.arrow")
+    error = assert_raise Situ.Error, fn -> Arrow.messages(path) end
+    assert error.code == :no_column
+    assert error.why =~ "left out are u (union), i (interval)"
+  end
+
+  test "a dictionary that a stream sends again is that of the batches after it" do
+    path = Path.join(@fixtures, "pyarrow-dictionaries.arrows")
+    assert values(path) == ["a", "b", "c", "d", "e", "c", nil] |> Enum.map(&%{"w" => &1})
+  end
+
+  test "rows of any part of a batch are read", %{tmp_dir: dir} do
+    rows = for i <- 1..3_000, do: %{n: i, t: String.duplicate("x", rem(i, 7)), b: rem(i, 3) == 0}
+    path = written(dir, rows)
+    read = for {_time, row} <- Arrow.messages(path), do: %{n: row["n"], t: row["t"], b: row["b"]}
+    assert read == rows
   end
 
   test "what is no table is an error that says why", %{tmp_dir: dir} do
@@ -181,8 +234,10 @@ defmodule Situ.Bridge.ArrowTest do
     views = :binary.copy(view, 100)
     data = :binary.copy("x", 20_000_000)
 
-    assert {:not_arrow, why} =
-             catch_throw(Values.read({:view, :text}, ["", views, data], 100, []))
+    buffers = [Buffer.from_binary(views), Buffer.from_binary(data)]
+    column = %{type: {:view, :text}, rows: 100, presence: nil, buffers: buffers}
+    column = Map.merge(column, %{children: [], entries: nil})
+    assert {:not_arrow, why} = catch_throw(Values.read(column, 0, 100))
 
     assert why =~ "2000000000 bytes"
   end
@@ -214,6 +269,7 @@ defmodule Situ.Bridge.ArrowTest do
     end
   end
 
+  @tag :capture_log
   test "20,000 mutations of files are rows or errors, and make no atoms", %{tmp_dir: dir} do
     ours = for i <- 1..30, do: %{n: i, t: "text #{rem(i, 5)}", f: i / 3, b: rem(i, 2) == 0}
 

@@ -2,17 +2,21 @@ defmodule Situ.Bridge.ParquetTest do
   # Counts atoms.
   use ExUnit.Case, async: false
   use Situ.Test.Property
-  alias Situ.Bridge.Columnar.{Column, Rows}
+  alias Situ.Bridge.Columnar.{Column, Names, Rows}
   alias Situ.Bridge.Parquet
-  alias Situ.Bridge.Parquet.{Deltas, Leaf, Packed, Runs, Thrift, Values, Writer}
+  alias Situ.Bridge.Parquet.{Chunk, Deltas, Leaf, Packed, Runs, Thrift, Writer}
   alias Situ.Store
   doctest Runs
   doctest Deltas
   doctest Leaf
+  doctest Names
   doctest Situ.Bridge.Gzip
 
   @theirs for kind <- 1..2,
               do: Path.expand("../../data/parquet/pyarrow-#{kind}.parquet", __DIR__)
+
+  # Made by pyarrow 26.0.1: the columns t, x (plain), y, u, x (texts), x_1 (x as differences), in pages of few rows.
+  @deltas Path.expand("../../data/parquet/pyarrow-deltas.parquet", __DIR__)
 
   @moduletag :tmp_dir
 
@@ -219,6 +223,59 @@ defmodule Situ.Bridge.ParquetTest do
     end
   end
 
+  test "differences wrap at the width of their column" do
+    rows = @deltas |> Parquet.messages() |> Enum.map(&elem(&1, 1))
+    assert length(rows) == 300
+    assert for(row <- rows, do: row["x_1"]) == for(row <- rows, do: row["x"])
+    assert %{"x" => -2_147_483_648} = hd(rows)
+    low_high = Enum.zip(0..299, Stream.cycle([-(2 ** 63), 2 ** 63 - 1, 7]))
+    assert for(row <- rows, do: row["y"]) == for({i, y} <- low_high, do: if(rem(i, 5) > 0, do: y))
+
+    assert for(row <- rows, do: row["u"]) ==
+             for(i <- 0..299, do: if(rem(i, 7) > 0, do: 2 ** 32 - 1 - i))
+  end
+
+  test "columns of one name are both read, the later one under a number" do
+    assert Parquet.columns(@deltas) ==
+             {:ok, %{columns: ["t", "x", "y", "u", "x_2", "x_1"], left_out: []}}
+
+    for {_time, row} <- Parquet.messages(@deltas),
+        do: assert(row["x_2"] == Integer.to_string(row["x"]))
+
+    assert [{_, %{"x_2" => "-2147483648"}}] =
+             @deltas |> Parquet.messages(columns: ["x_2"]) |> Enum.take(1)
+  end
+
+  test "a file is read as far as it is asked for", %{tmp_dir: dir} do
+    # The pages of the second row group are damaged; those of the first are not looked at again.
+    {:ok, %{groups: [_, %{1 => [%{3 => %{9 => second}} | _]}]}} = Parquet.File.open(@deltas)
+    whole = File.read!(@deltas)
+    <<before::binary-size(second), _::64, rest::binary>> = whole
+    path = Path.join(dir, "damaged.parquet")
+    File.write!(path, [before, <<255::64>>, rest])
+    assert path |> Parquet.messages() |> Enum.take(200) |> length() == 200
+    assert_raise Situ.Error, ~r/cannot be read/, fn -> Enum.to_list(Parquet.messages(path)) end
+  end
+
+  test "a column with fewer rows than its group is an error, and no row is dropped", %{
+    tmp_dir: dir
+  } do
+    path = Path.join(dir, "short.parquet")
+
+    columns = [
+      %Column{name: "t", kind: :time, optional?: false},
+      %Column{name: "x", kind: :integer}
+    ]
+
+    {:ok, writer} = Writer.create(path, columns, :none)
+    {:ok, writer} = Writer.write(writer, [[1, 2, 3], [1, 2, 3]], 3)
+    # The footer claims two rows more.
+    [{:struct, [chunks, size, {3, {:i64, 3}}]}] = writer.groups
+    {:ok, 3} = Writer.finish(%{writer | groups: [{:struct, [chunks, size, {3, {:i64, 5}}]}]})
+    error = assert_raise Situ.Error, fn -> Enum.to_list(Parquet.messages(path)) end
+    assert error.code == :not_parquet
+  end
+
   test "2,000 mutations of theirs are rows or errors, in bounded memory", %{tmp_dir: dir} do
     path = Path.join(dir, "theirs.parquet")
     :rand.seed(:exsss, {7, 8, 9})
@@ -286,7 +343,33 @@ defmodule Situ.Bridge.ParquetTest do
     IO.iodata_to_binary([Thrift.write(head), body])
   end
 
-  defp read(kind, values), do: Values.read(leaf(kind), chunk(kind, values), 0, length(values))
+  defp read(kind, values) do
+    bytes = chunk(kind, values)
+    {found, _chunk} = kind |> leaf() |> start(bytes, length(values)) |> Chunk.take_rows(100)
+    found
+  end
+
+  defp start(leaf, bytes, count) do
+    packing = %{codec: 0, packed?: false}
+    size = byte_size(bytes)
+    place = %{at: 0, size: size, packing: packing, count: count, nested?: false}
+    Chunk.start(leaf, place, &binary_part(bytes, &1, &2))
+  end
+
+  property "rows taken in any portions are those taken at once" do
+    forall {kind, n, portion} <-
+             {one_of([:integer, :float, :boolean, :text]), integer(1, 60), integer(1, 9)} do
+      values = for i <- 1..n, do: if(rem(i * n, 3) == 0, do: nil, else: cell(kind, i))
+      chunk = kind |> leaf() |> start(chunk(kind, values), n)
+
+      taken =
+        Stream.unfold(chunk, fn chunk ->
+          with {[], _} <- Chunk.take_rows(chunk, portion), do: nil
+        end)
+
+      assert Enum.concat(taken) == values
+    end
+  end
 
   test "what cannot be one column is text" do
     kinds =
@@ -305,6 +388,7 @@ defmodule Situ.Bridge.ParquetTest do
              catch_throw(Packed.undo(2, :zlib.gzip(:binary.copy("a", 1_000_000)), 5))
 
     assert {:not_parquet, _} = catch_throw(Packed.undo(4, "", 0))
+    assert Packed.undo(1, "", 0) == ""
   end
 
   test "20,000 mutations of a file are rows or errors, and make no atoms", %{tmp_dir: dir} do
@@ -346,7 +430,7 @@ defmodule Situ.Bridge.ParquetTest do
     for type <- [0, 1, 2, 5, 6], offset = 4 + :rand.uniform(50) do
       chunk = binary_part(bytes, offset, byte_size(bytes) - offset)
       leaf = %{leaf(:integer) | type: type, definition: rem(offset, 2)}
-      assert leaf |> Values.read(chunk, 0, 20) |> is_list()
+      assert {[_ | _], _} = leaf |> start(chunk, 20) |> Chunk.take_rows(20)
     end
   catch
     {:not_parquet, why} -> assert is_binary(why)

@@ -3,9 +3,36 @@ defmodule Situ.Bridge.Arrow.Schema do
   # The fields of an Arrow file (Schema.fbs): written from columns, and read as what each column holds and where its
   # buffers are in a batch. Pure. Throws `{:not_arrow, why}`.
   alias Situ.Bridge.Arrow.FlatBuffer
-  alias Situ.Bridge.Columnar.Column
+  alias Situ.Bridge.Columnar.{Column, Names}
 
   @deepest 64
+  # Version 5 of the metadata.
+  @version_1_0 4
+  @kinds %{
+    0 => "nothing",
+    1 => "null",
+    2 => "integer",
+    3 => "float",
+    4 => "binary",
+    5 => "text",
+    6 => "boolean",
+    7 => "decimal",
+    8 => "date",
+    9 => "time",
+    10 => "timestamp",
+    11 => "interval",
+    12 => "list",
+    13 => "struct",
+    14 => "union",
+    15 => "fixed_size_binary",
+    16 => "fixed_size_list",
+    17 => "map",
+    18 => "duration",
+    21 => "large_list",
+    22 => "run_end_encoded",
+    25 => "list_view",
+    26 => "large_list_view"
+  }
   @nanoseconds %{0 => 1_000_000_000, 1 => 1_000_000, 2 => 1_000, 3 => 1}
 
   @typedoc """
@@ -50,20 +77,32 @@ defmodule Situ.Bridge.Arrow.Schema do
   defp type(:bytes), do: {19, []}
   defp type(:text), do: {20, []}
 
-  @doc "The columns that can be read, the names of the others, and the types of dictionaries by their numbers."
-  @spec decode(binary(), non_neg_integer()) :: {[column()], [String.t()], %{integer() => term()}}
-  def decode(bytes, schema) do
+  @doc """
+  The columns that can be read, the names and types of the others, and the types of dictionaries by their numbers. Of
+  several columns of one name, the later ones are numbered.
+  """
+  @spec decode(binary(), non_neg_integer(), version :: integer()) ::
+          {[column()], [{name :: String.t(), type :: String.t()}], %{integer() => term()}}
+  def decode(bytes, schema, version) do
     if FlatBuffer.number(bytes, schema, 0, :i16, 0) != 0,
       do: throw({:not_arrow, "its numbers have their highest byte first"})
 
-    {found, _places} =
-      bytes
-      |> FlatBuffer.tables(schema, 1)
-      |> Enum.map_reduce({0, 0, 0}, &column(bytes, &1, &2, 0))
+    fields = FlatBuffer.tables(bytes, schema, 1)
+    {found, _places} = Enum.map_reduce(fields, {0, 0, 0}, &column(bytes, &1, &2, 0))
 
-    columns = for {:ok, column} <- found, do: column
-    nested = for {:nested, name} <- found, do: name
-    {columns, nested, columns |> Enum.flat_map(&entries/1) |> Map.new()}
+    # They had one buffer more, so that the columns after them would be read at wrong places.
+    if version < @version_1_0 and Enum.any?(fields, &union?(bytes, &1)),
+      do: throw({:not_arrow, "it has unions as they were before Arrow 1.0"})
+
+    found = Names.distinguish(found)
+    {left_out, columns} = Enum.split_with(found, &is_map_key(&1, :left_out))
+    left_out = for column <- left_out, do: {column.name, column.left_out}
+    {columns, left_out, columns |> Enum.flat_map(&entries/1) |> Map.new()}
+  end
+
+  defp union?(bytes, field) do
+    FlatBuffer.number(bytes, field, 2, :u8, 0) == 14 or
+      bytes |> FlatBuffer.tables(field, 5) |> Enum.any?(&union?(bytes, &1))
   end
 
   defp entries(%{dictionary: nil, children: children}), do: Enum.flat_map(children, &entries/1)
@@ -79,25 +118,41 @@ defmodule Situ.Bridge.Arrow.Schema do
     place_behind = behind(bytes, field, place, 0)
     children = if id == nil, do: children(type, bytes, field, place, depth), else: []
 
-    if type == :nested or index == :nested or children == :nested or
-         (id != nil and nests?(type)) do
-      {{:nested, name}, place_behind}
-    else
-      column = %{
-        children: children,
-        name: name,
-        type: type,
-        time?: match?({:times, _bits, _factor, true}, type),
-        node: node,
-        buffer: buffer,
-        view: view,
-        dictionary: id,
-        index: index
-      }
+    case left_out(bytes, field, {type, id, index, children}) do
+      nil ->
+        column = %{
+          children: children,
+          name: name,
+          type: type,
+          time?: match?({:times, _bits, _factor, true}, type),
+          node: node,
+          buffer: buffer,
+          view: view,
+          dictionary: id,
+          index: index
+        }
 
-      {{:ok, column}, place_behind}
+        {column, place_behind}
+
+      kind ->
+        {%{name: name, left_out: kind}, place_behind}
     end
   end
+
+  # The type of a column that cannot be read, in words; `nil` of one that can.
+  defp left_out(bytes, field, {type, id, index, children}) do
+    kind = kind_name(FlatBuffer.number(bytes, field, 2, :u8, 0))
+
+    cond do
+      type == :unknown -> kind
+      index == :unknown -> "dictionary of unknown numbers"
+      id != nil and nests?(type) -> "dictionary of #{kind}s"
+      match?({:left_out, _}, children) -> "#{kind} of #{elem(children, 1)}"
+      true -> nil
+    end
+  end
+
+  defp kind_name(kind), do: Map.get(@kinds, kind, "type #{kind}")
 
   # The columns in a list, a map or a struct: the places of the first begin behind its own buffers.
   defp children(type, bytes, field, {node, buffer, view}, depth) do
@@ -110,16 +165,21 @@ defmodule Situ.Bridge.Arrow.Schema do
         |> FlatBuffer.tables(field, 5)
         |> Enum.map_reduce(place, &column(bytes, &1, &2, depth + 1))
 
-      fitting(type, for({:ok, column} <- found, do: column), length(found))
+      fitting(type, Names.distinguish(found))
     else
       []
     end
   end
 
-  defp fitting(:struct, [_ | _] = children, n) when length(children) == n, do: children
-  defp fitting(:map, [%{type: :struct, children: [_, _]}] = children, 1), do: children
-  defp fitting({_list, _}, [_] = children, 1), do: children
-  defp fitting(_type, _children, _n), do: :nested
+  defp fitting(type, children) do
+    case {Enum.find(children, &is_map_key(&1, :left_out)), type, children} do
+      {%{left_out: kind}, _, _} -> {:left_out, kind}
+      {nil, :struct, [_ | _]} -> children
+      {nil, :map, [%{type: :struct, dictionary: nil, children: [_, _]}]} -> children
+      {nil, {_list, _}, [_]} -> children
+      _ -> {:left_out, "columns that do not fit it"}
+    end
+  end
 
   defp nests?(type), do: type in [:struct, :map] or match?({l, _} when l in [:list, :lists], type)
 
@@ -182,7 +242,7 @@ defmodule Situ.Bridge.Arrow.Schema do
       {20, _} -> {:text, 64}
       {23, _} -> {:view, :bytes}
       {24, _} -> {:view, :text}
-      {_, nil} -> :nested
+      {_, nil} -> :unknown
       {kind, type} -> number_type(bytes, kind, type)
     end
   end
@@ -192,20 +252,20 @@ defmodule Situ.Bridge.Arrow.Schema do
 
     if bits in [8, 16, 32, 64],
       do: {:integer, bits, FlatBuffer.number(bytes, type, 1, :u8, 0) == 1},
-      else: :nested
+      else: :unknown
   end
 
   defp number_type(bytes, 3, type) do
     case FlatBuffer.number(bytes, type, 0, :i16, 0) do
       precision when precision in 0..2 -> {:float, elem({16, 32, 64}, precision)}
-      _ -> :nested
+      _ -> :unknown
     end
   end
 
   defp number_type(bytes, 7, type) do
     scale = FlatBuffer.number(bytes, type, 1, :i32, 0)
     bits = FlatBuffer.number(bytes, type, 2, :i32, 128)
-    if scale in 0..76 and bits in [32, 64, 128, 256], do: {:decimal, bits, scale}, else: :nested
+    if scale in 0..76 and bits in [32, 64, 128, 256], do: {:decimal, bits, scale}, else: :unknown
   end
 
   # Days, or milliseconds.
@@ -218,7 +278,7 @@ defmodule Situ.Bridge.Arrow.Schema do
   # The time of a day.
   defp number_type(bytes, 9, type) do
     bits = FlatBuffer.number(bytes, type, 1, :i32, 32)
-    if bits in [32, 64], do: times(bytes, type, bits, 1, false), else: :nested
+    if bits in [32, 64], do: times(bytes, type, bits, 1, false), else: :unknown
   end
 
   defp number_type(bytes, 10, type), do: times(bytes, type, 64, 0, true)
@@ -227,22 +287,22 @@ defmodule Situ.Bridge.Arrow.Schema do
   defp number_type(bytes, 15, type) do
     case FlatBuffer.number(bytes, type, 0, :i32, 0) do
       size when size in 1..1_048_576 -> {:fixed, size}
-      _ -> :nested
+      _ -> :unknown
     end
   end
 
   defp number_type(bytes, 16, type) do
     case FlatBuffer.number(bytes, type, 0, :i32, 0) do
       size when size in 1..1_048_576 -> {:lists, size}
-      _ -> :nested
+      _ -> :unknown
     end
   end
 
-  defp number_type(_bytes, _other, _type), do: :nested
+  defp number_type(_bytes, _other, _type), do: :unknown
 
   defp times(bytes, type, bits, default, time?) do
     case @nanoseconds[FlatBuffer.number(bytes, type, 0, :i16, default)] do
-      nil -> :nested
+      nil -> :unknown
       factor -> {:times, bits, factor, time?}
     end
   end

@@ -1,77 +1,99 @@
 defmodule Situ.Bridge.Arrow.Values do
   @moduledoc false
-  # The values of one column in a batch, from its buffers. Pure, but for what unpacks. Throws `{:not_arrow, why}`.
+  # Any values of one column in a batch, from its buffers: those that are asked for, and no others. Pure, but for what
+  # the buffers read. Throws `{:not_arrow, why}`.
   import Situ.Bits, only: [known: 1]
-  alias Situ.Bridge.Native
+  alias Situ.Bridge.Arrow.Buffer
 
   @most 1_073_741_824
   @most_missing 10_000_000
-  @codecs %{0 => "lz4", 1 => "zstd"}
 
-  @doc "A buffer as it was before it was packed."
-  @spec unpack(binary(), codec :: integer() | nil) :: binary()
-  def unpack(bytes, nil), do: bytes
-  def unpack("", _codec), do: ""
-  def unpack(<<-1::little-signed-64, bytes::binary>>, _codec), do: bytes
-
-  def unpack(<<size::little-signed-64, bytes::binary>>, codec)
-      when size in 0..@most and is_map_key(@codecs, codec) do
-    case Native.unpack(@codecs[codec], bytes, size) do
-      {:ok, unpacked} when byte_size(unpacked) == size -> unpacked
-      {:ok, _} -> fail("a buffer unpacks to another size")
-      {:error, why} -> fail("a buffer that cannot be unpacked: #{inspect(why)}")
-    end
-  end
-
-  def unpack(_bytes, _codec), do: fail("a buffer packed in a way that is not known")
+  @typedoc """
+  A column in a batch: `presence` is `nil` where nothing is missing; `children` are the columns within it, by their
+  names; `entries` are those of its dictionary, where it has one.
+  """
+  @type column :: %{
+          type: term(),
+          rows: non_neg_integer(),
+          presence: Buffer.t() | nil,
+          buffers: [Buffer.t()],
+          children: [{String.t(), column()}],
+          entries: tuple() | nil
+        }
 
   @doc """
-  All values of so many rows, `nil` where one is missing; `inner` are the names and values of the columns in it.
+  The values of `n` rows from the row `from` on, `nil` where one is missing.
 
-      iex> Situ.Bridge.Arrow.Values.read({:lists, 2}, ["\\x01"], 2, [{"item", [1, 2, 3, 4]}])
-      [[1, 2], nil]
+      iex> alias Situ.Bridge.Arrow.{Buffer, Values}
+      iex> item = %{type: {:integer, 8, true}, rows: 4, presence: nil, buffers: [Buffer.from_binary(<<1, 2, 3, 4>>)]}
+      iex> item = Map.merge(item, %{children: [], entries: nil})
+      iex> lists = %{item | type: {:lists, 2}, rows: 2, presence: Buffer.from_binary(<<1>>), buffers: []}
+      iex> lists = %{lists | children: [{"item", item}]}
+      iex> {Values.read(lists, 0, 2), Values.read(lists, 1, 1)}
+      {[[1, 2], nil], [nil]}
   """
-  @spec read(term(), [binary()], rows :: non_neg_integer(), [{String.t(), [term()]}]) :: [term()]
-  def read(:null, _buffers, n, _inner) when n in 0..@most_missing, do: List.duplicate(nil, n)
+  @spec read(column(), from :: integer(), n :: integer()) :: [term()]
+  def read(%{rows: rows}, from, n) when from < 0 or n < 0 or from + n > rows,
+    do: fail("a list that goes beyond its items")
 
-  def read(type, [presence | buffers], n, inner) do
-    values = nested(type, buffers, n, inner)
-    if presence == "", do: values, else: present(bits(presence, n), values)
+  def read(%{type: :null, rows: rows}, _from, n) when rows <= @most_missing,
+    do: List.duplicate(nil, n)
+
+  def read(%{type: :null, rows: rows}, _from, _n), do: fail("#{rows} values that are missing")
+
+  def read(%{presence: presence} = column, from, n) do
+    values = column.type |> nested(column, from, n) |> put_entries(column.entries)
+    bits = if presence == nil, do: List.duplicate(true, n), else: bits(presence, from, n)
+    if presence == nil and column.entries == nil, do: values, else: present(bits, values)
   end
 
-  def read(_type, _buffers, _n, _inner), do: fail("a column without its buffers")
+  defp put_entries(values, nil), do: values
 
-  defp nested(:struct, [], n, inner) do
-    {names, columns} = Enum.unzip(inner)
+  # A number means nothing where its value is missing.
+  defp put_entries(values, entries) do
+    for i <- values,
+        do: if(i in 0..(tuple_size(entries) - 1)//1, do: elem(entries, i), else: :beyond)
+  end
 
-    if Enum.any?(columns, &(length(&1) != n)),
+  defp nested(:struct, column, from, n) do
+    names = Enum.map(column.children, &elem(&1, 0))
+
+    if Enum.any?(column.children, fn {_, child} -> child.rows != column.rows end),
       do: fail("structs whose members have another number of rows")
 
-    Enum.zip_with(columns, &(names |> Enum.zip(&1) |> Map.new()))
+    column.children
+    |> Enum.map(fn {_, child} -> read(child, from, n) end)
+    |> Enum.zip_with(&(names |> Enum.zip(&1) |> Map.new()))
   end
 
-  defp nested({:lists, size}, [], n, [{_, items}]) do
-    if length(items) < n * size, do: fail("lists of fewer items than they have")
-    items |> Enum.take(n * size) |> Enum.chunk_every(size)
-  end
+  defp nested({:lists, size}, %{children: [{_, items}]}, from, n),
+    do: items |> read(from * size, n * size) |> Enum.chunk_every(size)
 
-  defp nested({:list, bits}, [ends], n, [{_, items}]), do: lists(ends, bits, n, items)
+  defp nested({:list, bits}, %{buffers: [ends], children: [{_, items}]}, from, n),
+    do: lists(ends, bits, {from, n}, items)
 
   # Pairs are structs of two members.
-  defp nested({:map, [key, value]}, [ends], n, [{_, pairs}]) do
-    for pairs <- lists(ends, 32, n, pairs),
+  defp nested(:map, %{buffers: [ends], children: [{_, pairs}]}, from, n) do
+    [{key, _}, {value, _}] = pairs.children
+
+    for pairs <- lists(ends, 32, {from, n}, pairs),
         do: for(%{^key => name, ^value => held} <- pairs, into: %{}, do: {name, held})
   end
 
-  defp nested(type, buffers, n, _inner), do: values(type, buffers, n)
+  defp nested(type, %{buffers: buffers}, from, n), do: values(type, buffers, from, n)
 
-  defp lists(_ends, _bits, 0, _items), do: []
-
-  defp lists(ends, bits, n, items) do
-    [first | ends] = for <<x::little-signed-known(bits) <- cut(ends, n + 1, bits)>>, do: x
-    if first < 0, do: fail("a list that begins before its items")
-    {lists, _} = Enum.map_reduce(ends, {first, Enum.drop(items, first)}, &list/2)
+  defp lists(ends, bits, {from, n}, items) do
+    [first | ends] = ends(ends, bits, from, n)
+    last = List.last(ends, first)
+    {lists, _} = Enum.map_reduce(ends, {first, read(items, first, last - first)}, &list/2)
     lists
+  end
+
+  # One more than there are values; where there are none, writers may leave the first one out.
+  defp ends(_ends, _bits, _from, 0), do: [0]
+
+  defp ends(ends, bits, from, n) do
+    for <<x::little-signed-known(bits) <- records(ends, from, n + 1, bits)>>, do: x
   end
 
   defp list(ends, {at, items}) do
@@ -81,46 +103,49 @@ defmodule Situ.Bridge.Arrow.Values do
     {list, {ends, rest}}
   end
 
+  defp present([true | _], [:beyond | _]), do: fail("a number beyond its dictionary")
   defp present([true | bits], [value | values]), do: [value | present(bits, values)]
   defp present([false | bits], [_ | values]), do: [nil | present(bits, values)]
   defp present([], []), do: []
 
-  defp values(:boolean, [bytes], n), do: bits(bytes, n)
+  defp values(:boolean, [bytes], from, n), do: bits(bytes, from, n)
 
-  defp values({:integer, bits, true}, [bytes], n),
-    do: for(<<x::little-signed-known(bits) <- cut(bytes, n, bits)>>, do: x)
+  defp values({:integer, bits, true}, [bytes], from, n),
+    do: for(<<x::little-signed-known(bits) <- records(bytes, from, n, bits)>>, do: x)
 
-  defp values({:integer, bits, false}, [bytes], n),
-    do: for(<<x::little-known(bits) <- cut(bytes, n, bits)>>, do: x)
+  defp values({:integer, bits, false}, [bytes], from, n),
+    do: for(<<x::little-known(bits) <- records(bytes, from, n, bits)>>, do: x)
 
-  defp values({:times, bits, factor, _}, [bytes], n),
-    do: for(<<x::little-signed-known(bits) <- cut(bytes, n, bits)>>, do: x * factor)
+  defp values({:times, bits, factor, _}, [bytes], from, n),
+    do: for(<<x::little-signed-known(bits) <- records(bytes, from, n, bits)>>, do: x * factor)
 
-  defp values({:decimal, bits, scale}, [bytes], n) do
+  defp values({:decimal, bits, scale}, [bytes], from, n) do
     unit = Integer.pow(10, scale)
-    for <<x::little-signed-known(bits) <- cut(bytes, n, bits)>>, do: x / unit
+    for <<x::little-signed-known(bits) <- records(bytes, from, n, bits)>>, do: x / unit
   end
 
-  defp values({:float, bits}, [bytes], n),
-    do: for(<<x::bitstring-known(bits) <- cut(bytes, n, bits)>>, do: float(x))
+  defp values({:float, bits}, [bytes], from, n),
+    do: for(<<x::bitstring-known(bits) <- records(bytes, from, n, bits)>>, do: float(x))
 
-  defp values({:fixed, size}, [bytes], n),
-    do: for(<<x::binary-known(size) <- cut(bytes, n, size * 8)>>, do: :binary.copy(x))
+  defp values({:fixed, size}, [bytes], from, n),
+    do: for(<<x::binary-known(size) <- records(bytes, from, n, size * 8)>>, do: :binary.copy(x))
 
-  defp values({kind, bits}, [_ends, _bytes], 0) when kind in [:text, :bytes] and bits in [32, 64],
-    do: []
-
-  defp values({kind, bits}, [ends, bytes], n) when kind in [:text, :bytes] do
-    [first | ends] = for <<x::little-signed-known(bits) <- cut(ends, n + 1, bits)>>, do: x
+  defp values({kind, bits}, [ends, bytes], from, n)
+       when kind in [:text, :bytes] and bits in [32, 64] do
+    [first | ends] = ends(ends, bits, from, n)
+    if List.last(ends, first) < first, do: fail("a text outside of its buffer")
+    bytes = Buffer.read(bytes, first, List.last(ends, first) - first)
 
     {values, _} =
-      Enum.map_reduce(ends, first, &{:binary.copy(text(kind, bytes, &2, &1 - &2)), &1})
+      Enum.map_reduce(ends, 0, fn ends, at ->
+        {:binary.copy(text(kind, bytes, at, ends - first - at)), ends - first}
+      end)
 
     values
   end
 
-  defp values({:view, kind}, [views | data], n) do
-    views = cut(views, n, 128)
+  defp values({:view, kind}, [views | data], from, n) do
+    views = records(views, from, n, 128)
     # Views may lie over one another: a small file could name much.
     all = for <<size::little-32, _::96 <- views>>, reduce: 0, do: (sum -> sum + size)
     if all > @most, do: fail("texts of #{all} bytes in one batch")
@@ -128,7 +153,7 @@ defmodule Situ.Bridge.Arrow.Values do
     for <<view::binary-16 <- views>>, do: view(kind, view, data)
   end
 
-  defp values(_type, _buffers, _n), do: fail("a column without its buffers")
+  defp values(_type, _buffers, _from, _n), do: fail("a column without its buffers")
 
   # Up to twelve bytes stand in the view itself.
   defp view(kind, <<n::little-32, bytes::binary-12>>, _data) when n <= 12,
@@ -136,7 +161,7 @@ defmodule Situ.Bridge.Arrow.Values do
 
   defp view(kind, <<n::little-32, _prefix::32, which::little-32, at::little-32>>, data)
        when which < tuple_size(data),
-       do: text(kind, elem(data, which), at, n)
+       do: text(kind, data |> elem(which) |> Buffer.read(at, n), 0, n)
 
   defp view(_kind, _view, _data), do: fail("a text in a buffer that is not there")
 
@@ -151,19 +176,21 @@ defmodule Situ.Bridge.Arrow.Values do
   defp text(_kind, _bytes, _at, _n), do: fail("a text outside of its buffer")
 
   # The first of eight is the lowest.
-  defp bits(bytes, n) do
+  defp bits(buffer, from, n) do
+    before = rem(from, 8)
+
     for(
-      <<a::1, b::1, c::1, d::1, e::1, f::1, g::1, h::1 <- cut(bytes, div(n + 7, 8), 8)>>,
+      <<a::1, b::1, c::1, d::1, e::1, f::1, g::1,
+        h::1 <-
+          Buffer.read(buffer, div(from, 8), div(before + n + 7, 8))>>,
       bit <- [h, g, f, e, d, c, b, a],
       do: bit == 1
     )
-    |> Enum.take(n)
+    |> Enum.slice(before, n)
   end
 
-  defp cut(bytes, n, bits) when n >= 0 and n * bits <= bit_size(bytes),
-    do: binary_part(bytes, 0, div(n * bits, 8))
-
-  defp cut(_bytes, _n, _bits), do: fail("a buffer that is too short for its rows")
+  defp records(buffer, from, n, bits),
+    do: Buffer.read(buffer, from * div(bits, 8), n * div(bits, 8))
 
   defp float(<<x::little-float-64>>), do: x
   defp float(<<x::little-float-32>>), do: x

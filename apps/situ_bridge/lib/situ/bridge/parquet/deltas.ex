@@ -8,9 +8,10 @@ defmodule Situ.Bridge.Parquet.Deltas do
   # The most bytes that a page may become: prefixes can repeat much with few bytes.
   @most 268_435_456
 
-  @spec texts(binary(), non_neg_integer()) :: [binary()]
-  def texts(bytes, n) do
-    {lengths, rest} = counted(bytes, n)
+  @doc "Decodes at most `most` texts whose lengths stand before them."
+  @spec decode_texts(binary(), most :: non_neg_integer()) :: [binary()]
+  def decode_texts(bytes, most) do
+    {lengths, rest} = Runs.decode_deltas(bytes, most, 32)
 
     {texts, _rest} =
       Enum.map_reduce(lengths, rest, fn length, rest ->
@@ -26,13 +27,17 @@ defmodule Situ.Bridge.Parquet.Deltas do
     texts
   end
 
-  @spec prefixed(binary(), non_neg_integer()) :: [binary()]
-  def prefixed(bytes, n) do
-    {lengths, rest} = counted(bytes, n)
+  @doc "Decodes at most `most` texts that begin like the text before."
+  @spec decode_prefixed_texts(binary(), most :: non_neg_integer()) :: [binary()]
+  def decode_prefixed_texts(bytes, most) do
+    {lengths, rest} = Runs.decode_deltas(bytes, most, 32)
+    suffixes = decode_texts(rest, most)
+
+    if length(lengths) != length(suffixes), do: fail("texts that begin, and do not go on")
 
     {texts, _} =
       lengths
-      |> Enum.zip(texts(rest, n))
+      |> Enum.zip(suffixes)
       |> Enum.map_reduce({"", 0}, fn {shared, suffix}, {before, size} ->
         size = size + shared + byte_size(suffix)
 
@@ -46,26 +51,31 @@ defmodule Situ.Bridge.Parquet.Deltas do
     texts
   end
 
-  defp counted(bytes, n) do
-    {lengths, rest} = Runs.deltas(bytes, n)
-    if length(lengths) != n, do: fail("another number of values than the page says")
-    {lengths, rest}
-  end
-
   @doc """
-  The bytes of `n` values in their order, out of the first bytes of all, the second ones ...
+  Joins the bytes of the values `from` to `from + n`, where the first bytes of all values come first, then all second
+  ones ...
 
-      iex> Situ.Bridge.Parquet.Deltas.streams(<<1, 2, 3, 4, 5, 6>>, 2, 3)
-      <<1, 4, 2, 5, 3, 6>>
+      iex> Situ.Bridge.Parquet.Deltas.join_bytes(<<1, 2, 3, 4, 5, 6>>, 2, 1, 2)
+      <<2, 5, 3, 6>>
   """
-  @spec streams(binary(), pos_integer(), non_neg_integer()) :: binary()
-  def streams(bytes, width, n) when byte_size(bytes) >= width * n do
-    for(i <- 0..(width - 1)//1, do: bytes |> binary_part(i * n, n) |> :binary.bin_to_list())
+  @spec join_bytes(
+          binary(),
+          width :: pos_integer(),
+          from :: non_neg_integer(),
+          n :: non_neg_integer()
+        ) ::
+          binary()
+  def join_bytes(bytes, width, from, n) do
+    count = div(byte_size(bytes), width)
+    if from + n > count, do: fail("a page with too few values")
+
+    for(
+      i <- 0..(width - 1)//1,
+      do: bytes |> binary_part(i * count + from, n) |> :binary.bin_to_list()
+    )
     |> Enum.zip_with(&:binary.list_to_bin/1)
     |> IO.iodata_to_binary()
   end
-
-  def streams(_bytes, _width, _n), do: fail("a page with too few values")
 
   defp fail(why), do: throw({:not_parquet, why})
 end

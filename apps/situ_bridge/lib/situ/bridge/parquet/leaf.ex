@@ -57,8 +57,14 @@ defmodule Situ.Bridge.Parquet.Leaf do
   defp number(%{10 => %{7 => %{2 => unit}}}) when map_size(unit) == 1, do: unit(unit)
   defp number(%{6 => 5, 7 => scale}) when scale in 0..38, do: {:scale, scale}
   defp number(%{6 => kind}) when is_map_key(@unsigned, kind), do: {:unsigned, @unsigned[kind]}
-  defp number(%{6 => kind}), do: @old_kinds[kind]
+  defp number(%{6 => kind}) when is_map_key(@old_kinds, kind), do: @old_kinds[kind]
   defp number(%{10 => %{5 => decimal}}) when is_map(decimal), do: scale(:scale, decimal)
+  # Not every writer still gives the old kinds.
+  defp number(%{10 => %{6 => date}}) when is_map(date), do: @old_kinds[6]
+
+  defp number(%{10 => %{10 => %{1 => bits, 2 => false}}}) when bits in [8, 16, 32, 64],
+    do: {:unsigned, bits}
+
   defp number(_), do: nil
 
   defp unit(unit), do: @units[unit |> Map.keys() |> hd()]

@@ -5,12 +5,22 @@ defmodule Situ.Bridge.Parquet.Packed do
   alias Situ.Bridge.{Gzip, Native}
   alias Situ.Bridge.Parquet.Thrift
 
-  @names %{3 => "LZO", 4 => "Brotli", 5 => "LZ4 (the old kind)"}
+  @names %{3 => "LZO", 4 => "Brotli"}
 
   @spec undo(codec :: integer(), binary(), size :: non_neg_integer()) :: binary()
   def undo(0, bytes, _size), do: bytes
+  # Some writers leave nothing of nothing: no packed bytes at all.
+  def undo(codec, "", 0) when codec not in [3, 4], do: ""
   def undo(1, bytes, size), do: exactly(snappy(bytes, size), size)
   def undo(2, bytes, size), do: exactly(gunzip(bytes, size), size)
+
+  # The old LZ4 is framed as Hadoop does it, or a plain block: writers did not agree.
+  def undo(5, bytes, size) do
+    case hadoop(bytes, size, []) do
+      {:ok, unpacked} -> unpacked
+      :error -> native("lz4_block", bytes, size)
+    end
+  end
 
   def undo(6, bytes, size), do: native("zstd", bytes, size)
   def undo(7, bytes, size), do: native("lz4_block", bytes, size)
@@ -27,6 +37,21 @@ defmodule Situ.Bridge.Parquet.Packed do
       {:error, why} -> fail("a page packed by #{codec}: #{inspect(why)}")
     end
   end
+
+  # Blocks, each after its size unpacked and its size packed, the highest byte first.
+  defp hadoop("", 0, blocks), do: {:ok, blocks |> Enum.reverse() |> IO.iodata_to_binary()}
+
+  defp hadoop(<<n::32, packed::32, rest::binary>>, left, blocks)
+       when n in 1..left//1 and packed <= byte_size(rest) do
+    <<block::binary-known(packed), rest::binary>> = rest
+
+    case Native.unpack("lz4_block", block, n) do
+      {:ok, bytes} when byte_size(bytes) == n -> hadoop(rest, left - n, [bytes | blocks])
+      _ -> :error
+    end
+  end
+
+  defp hadoop(_bytes, _left, _blocks), do: :error
 
   defp exactly(bytes, size) when byte_size(bytes) == size, do: bytes
   defp exactly(_bytes, _size), do: fail("a page unpacks to another size")

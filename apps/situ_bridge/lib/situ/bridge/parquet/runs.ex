@@ -1,112 +1,149 @@
 defmodule Situ.Bridge.Parquet.Runs do
   @moduledoc false
-  # Small numbers as runs of one number and groups of eight packed ones (Parquet's RLE/bit-packing hybrid), and numbers
-  # as packed differences (DELTA_BINARY_PACKED). Pure. Throws `{:not_parquet, why}`.
+  # Small numbers as runs of one number and groups of eight packed ones (Parquet's RLE/bit-packing hybrid), taken a few
+  # at a time, and numbers as packed differences (DELTA_BINARY_PACKED). Pure. Throws `{:not_parquet, why}`.
   import Situ.Bits, only: [known: 1]
   import Bitwise
   alias Situ.Bridge.Parquet.Thrift
 
+  # Differences of no bits take no bytes: a small page could name very many of them.
+  @most_deltas 20_000_000
+
+  @enforce_keys [:bytes, :width]
+  defstruct [:bytes, :width, run: nil]
+
+  @typedoc "The run that is being read: a number and how often it is left, or packed groups and unpacked numbers."
+  @type run ::
+          nil
+          | {:same, non_neg_integer(), pos_integer()}
+          | {:packed, binary(), [non_neg_integer()]}
+  @type t :: %__MODULE__{bytes: binary(), width: 0..32, run: run()}
+
+  @doc "Numbers of `width` bits that begin at the beginning of `bytes`."
+  @spec start(binary(), non_neg_integer()) :: t()
+  def start(bytes, width) when width <= 32, do: %__MODULE__{bytes: bytes, width: width}
+  def start(_bytes, width), do: fail("numbers of #{width} bits")
+
   @doc """
-  `count` numbers of `width` bits.
+  Takes the next `count` numbers.
 
-      iex> Situ.Bridge.Parquet.Runs.read(<<6, 1, 3, 0b10001000>>, 1, 8)
-      [1, 1, 1, 0, 0, 0, 1, 0]
+      iex> alias Situ.Bridge.Parquet.Runs
+      iex> {first, runs} = <<6, 1, 3, 0b10001000>> |> Runs.start(1) |> Runs.take(5)
+      iex> {rest, _runs} = Runs.take(runs, 3)
+      iex> {first, rest}
+      {[1, 1, 1, 0, 0], [0, 1, 0]}
   """
-  @spec read(binary(), 0..32, non_neg_integer()) :: [non_neg_integer()]
-  def read(_bytes, 0, count), do: List.duplicate(0, count)
+  @spec take(t(), non_neg_integer()) :: {[non_neg_integer()], t()}
+  def take(%{width: 0} = runs, count), do: {List.duplicate(0, count), runs}
+  def take(runs, count), do: take(runs, count, [])
 
-  def read(bytes, width, count) when width <= 32,
-    do: bytes |> runs(width, count, []) |> Enum.concat()
+  defp take(runs, 0, found), do: {found |> Enum.reverse() |> Enum.concat(), runs}
+  defp take(%{run: nil} = runs, count, found), do: runs |> next_run() |> take(count, found)
 
-  def read(_bytes, width, _count), do: fail("numbers of #{width} bits")
+  defp take(%{run: {:same, value, left}} = runs, count, found) do
+    n = min(left, count)
+    run = if left > n, do: {:same, value, left - n}
+    take(%{runs | run: run}, count - n, [List.duplicate(value, n) | found])
+  end
 
-  defp runs(_bytes, _width, left, found) when left <= 0, do: Enum.reverse(found)
+  defp take(%{run: {:packed, bytes, held}, width: width} = runs, count, found) do
+    missing = max(count - length(held), 0)
+    size = width * min(div(missing + 7, 8), div(byte_size(bytes), width))
+    <<groups::binary-known(size), rest::binary>> = bytes
+    {taken, held} = Enum.split(held ++ unpack(groups, width), count)
+    run = if rest != "" or held != [], do: {:packed, rest, held}
+    take(%{runs | run: run}, count - length(taken), [taken | found])
+  end
 
-  defp runs(bytes, width, left, found) do
+  defp next_run(%{bytes: bytes, width: width} = runs) do
     case Thrift.unsigned(bytes) do
       {head, rest} when (head &&& 1) == 1 ->
-        n = min((head >>> 1) * 8, left)
-        size = (head >>> 1) * width
-        {packed, rest} = take(rest, size)
-        runs(rest, width, left - n, [packed(packed, width, n) | found])
+        {packed, rest} = split_bytes(rest, (head >>> 1) * width)
+        %{runs | bytes: rest, run: if(packed != "", do: {:packed, packed, []})}
+
+      {0, _rest} ->
+        fail("a run of nothing")
 
       {head, rest} ->
-        n = min(head >>> 1, left)
-        if n == 0, do: fail("a run of nothing")
-        {value, rest} = take(rest, div(width + 7, 8))
-
-        runs(rest, width, left - n, [
-          List.duplicate(:binary.decode_unsigned(value, :little), n) | found
-        ])
+        {value, rest} = split_bytes(rest, div(width + 7, 8))
+        %{runs | bytes: rest, run: {:same, :binary.decode_unsigned(value, :little), head >>> 1}}
     end
   end
 
-  # Writers may leave out the zeros at the end of the last group.
-  defp take(bytes, n) when byte_size(bytes) >= n do
+  defp split_bytes(bytes, n) when byte_size(bytes) >= n do
     <<part::binary-known(n), rest::binary>> = bytes
     {part, rest}
   end
 
-  defp take(_bytes, n), do: fail("it lacks #{n} bytes")
+  defp split_bytes(_bytes, n), do: fail("it lacks #{n} bytes")
 
   # The lowest bits first: as one number, taken from its end.
-  defp packed(_bytes, 0, count), do: List.duplicate(0, count)
-
-  defp packed(bytes, width, count) do
-    for group <- groups(bytes, width), n = :binary.decode_unsigned(group, :little), i <- 0..7 do
-      n >>> (i * width) &&& (1 <<< width) - 1
-    end
-    |> Enum.take(count)
+  defp unpack(bytes, width) do
+    for <<group::binary-known(width) <- bytes>>,
+        n = :binary.decode_unsigned(group, :little),
+        i <- 0..7,
+        do: n >>> (i * width) &&& (1 <<< width) - 1
   end
 
-  defp groups(bytes, width), do: for(<<group::binary-known(width) <- bytes>>, do: group)
+  @doc """
+  Decodes at most `most` numbers of `bits` bits from packed differences; also returns the bytes after them.
 
-  @doc "Numbers of 64 bits as packed differences, and what follows them."
-  @spec deltas(binary(), most :: non_neg_integer()) :: {[integer()], binary()}
-  def deltas(bytes, most) do
+  Sums wrap at the width of the column: a writer of `int32` may store the difference from -2147483648 to 2147483647 as
+  -1.
+
+      iex> bytes = <<128, 1, 4, 2, 254, 255, 255, 255, 15, 2, 0, 0, 0, 0>>
+      iex> Situ.Bridge.Parquet.Runs.decode_deltas(bytes, 2, 32)
+      {[2147483647, -2147483648], ""}
+  """
+  @spec decode_deltas(binary(), most :: non_neg_integer(), 32 | 64) :: {[integer()], binary()}
+  def decode_deltas(bytes, most, bits) do
     {block, rest} = Thrift.unsigned(bytes)
     {minis, rest} = Thrift.unsigned(rest)
     {count, rest} = Thrift.unsigned(rest)
     {first, rest} = signed(rest)
 
     if minis == 0 or block == 0 or rem(block, minis * 8) != 0 or block > 1_048_576 or
-         count > most,
+         count > min(most, @most_deltas),
        do: fail("packed differences that are none")
 
     if count == 0,
       do: {[], rest},
-      else: blocks(rest, div(block, minis), minis, count - 1, [first])
+      else: blocks(rest, {div(block, minis), minis, bits}, count - 1, [wrap(first, bits)])
   end
 
-  defp blocks(rest, _size, _minis, left, found) when left <= 0,
-    do: {Enum.reverse(found), rest}
+  defp blocks(rest, _shape, left, found) when left <= 0, do: {Enum.reverse(found), rest}
 
-  defp blocks(rest, size, minis, left, found) do
+  defp blocks(rest, {size, minis, bits} = shape, left, found) do
     {least, rest} = signed(rest)
-    {widths, rest} = take(rest, minis)
-    {rest, left, found} = minis(rest, :binary.bin_to_list(widths), size, least, left, found)
-    blocks(rest, size, minis, left, found)
+    {widths, rest} = split_bytes(rest, minis)
+    widths = :binary.bin_to_list(widths)
+    {rest, left, found} = minis(rest, widths, {size, least, bits}, left, found)
+    blocks(rest, shape, left, found)
   end
 
-  defp minis(rest, [], _size, _least, left, found), do: {rest, left, found}
-  defp minis(rest, _widths, _size, _least, left, found) when left <= 0, do: {rest, left, found}
+  defp minis(rest, [], _block, left, found), do: {rest, left, found}
+  defp minis(rest, _widths, _block, left, found) when left <= 0, do: {rest, left, found}
 
-  defp minis(rest, [width | widths], size, least, left, found) do
+  defp minis(rest, [width | widths], {size, least, bits} = block, left, found) do
     if width > 64, do: fail("numbers of #{width} bits")
-    {bytes, rest} = take(rest, div(size * width, 8))
+    {bytes, rest} = split_bytes(rest, div(size * width, 8))
     n = min(size, left)
+    deltas = if width == 0, do: List.duplicate(0, n), else: bytes |> unpack(width) |> Enum.take(n)
 
     found =
-      bytes
-      |> packed(width, n)
-      |> Enum.reduce(found, fn delta, [last | _] = found ->
-        [wrapped(last + least + delta) | found]
+      Enum.reduce(deltas, found, fn delta, [last | _] = found ->
+        [wrap(last + least + delta, bits) | found]
       end)
 
-    minis(rest, widths, size, least, left - n, found)
+    minis(rest, widths, block, left - n, found)
   end
 
-  defp wrapped(n) do
+  defp wrap(n, 32) do
+    <<n::signed-32>> = <<n::32>>
+    n
+  end
+
+  defp wrap(n, 64) do
     <<n::signed-64>> = <<n::64>>
     n
   end

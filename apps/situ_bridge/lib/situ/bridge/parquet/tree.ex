@@ -3,6 +3,7 @@ defmodule Situ.Bridge.Parquet.Tree do
   # The schema of a Parquet file as columns. One that is flat is a leaf; one of lists, maps or structs has a tree, whose
   # values are put together from its leaves by the levels beside their values (Dremel's). Pure. Throws
   # `{:not_parquet, why}`.
+  alias Situ.Bridge.Columnar.Names
   alias Situ.Bridge.Parquet.Leaf
 
   @deepest 32
@@ -19,12 +20,12 @@ defmodule Situ.Bridge.Parquet.Tree do
           leaves: [Leaf.t()]
         }
   @type column :: Leaf.t() | %{name: String.t(), time?: false, tree: tree()}
-  @typedoc "A leaf's values with their levels of repetition and definition, by the leaf's place."
-  @type held :: %{non_neg_integer() => [{non_neg_integer(), non_neg_integer(), term()}]}
+  @typedoc "A leaf's value with its levels of repetition and definition."
+  @type entry :: {non_neg_integer(), non_neg_integer(), term()}
 
-  @doc "The columns of a schema's elements, the root left out."
+  @doc "The columns of a schema's elements, the root left out. Of several of one name, the later ones are numbered."
   @spec columns([map()]) :: [column()]
-  def columns(elements), do: columns(elements, 0, [])
+  def columns(elements), do: elements |> columns(0, []) |> Names.distinguish()
 
   defp columns([], _at, found), do: Enum.reverse(found)
 
@@ -42,7 +43,8 @@ defmodule Situ.Bridge.Parquet.Tree do
   defp node(_elements, _at, _levels, depth) when depth > @deepest,
     do: fail("its columns are nested too deeply")
 
-  defp node([%{4 => name} = element | rest], at, {definition, level}, depth) do
+  defp node([%{4 => name} = element | rest], at, {definition, level}, depth)
+       when is_binary(name) do
     repetition = element[3] || 0
     definition = if repetition == 0, do: definition, else: definition + 1
     level = if repetition == @repeated, do: level + 1, else: level
@@ -52,6 +54,7 @@ defmodule Situ.Bridge.Parquet.Tree do
       {children, rest, at} = children(element[5], rest, at, {definition, level}, depth + 1, [])
       leaves = Enum.flat_map(children, & &1.leaves)
       if leaves == [], do: fail("a group of columns without any")
+      children = Names.distinguish(children)
 
       tree = Map.merge(base, %{kind: kind(element, children), children: children, leaves: leaves})
 
@@ -84,21 +87,11 @@ defmodule Situ.Bridge.Parquet.Tree do
 
   defp kind(_element, _children), do: :struct
 
-  @doc "The value of each row, out of all values of the leaves."
-  @spec values(tree(), held(), rows :: non_neg_integer()) :: [term()]
-  def values(tree, held, rows) do
-    by_leaf =
-      for leaf <- tree.leaves do
-        split = held |> Map.fetch!(leaf.at) |> split(0)
-
-        if length(split) != rows,
-          do: fail("#{inspect(tree.name)} has another number of rows than its group")
-
-        split
-      end
-
+  @doc "The value of one row, out of the entries that each leaf has of it."
+  @spec row_value(tree(), [[entry()]]) :: term()
+  def row_value(tree, rows) do
     places = Enum.map(tree.leaves, & &1.at)
-    Enum.zip_with(by_leaf, &value(tree, places |> Enum.zip(&1) |> Map.new()))
+    value(tree, places |> Enum.zip(rows) |> Map.new())
   end
 
   # Where a level begins, an element begins.

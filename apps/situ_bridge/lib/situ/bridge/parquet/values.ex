@@ -1,216 +1,187 @@
 defmodule Situ.Bridge.Parquet.Values do
   @moduledoc false
-  # The values of a column chunk: its pages, one after the other. Pure, but for what unpacks.
-  # Throws `{:not_parquet, why}`.
+  # The values of one page, taken a few at a time: a page of a megabyte is 131,072 floats, and each of them is four
+  # times as large as a term. Pure. Throws `{:not_parquet, why}`.
   import Situ.Bits, only: [known: 1]
-  alias Situ.Bridge.Parquet.{Deltas, Leaf, Packed, Runs, Thrift}
+  alias Situ.Bridge.Parquet.{Deltas, Leaf, Runs}
 
+  # Bytes of a number, by Parquet's types.
+  @widths %{1 => 4, 2 => 8, 3 => 12, 4 => 4, 5 => 8}
   @encodings %{4 => "BIT_PACKED"}
-  @most_page 1_073_741_824
-  # Levels pack well: a small file could name very many.
-  @most_entries 20_000_000
 
-  @doc "All values of a chunk with so many rows; `nil` where one is missing."
-  @spec read(Leaf.t(), binary(), codec :: integer(), rows :: non_neg_integer()) :: [term()]
-  def read(leaf, bytes, codec, rows), do: pages({leaf, :flat}, bytes, codec, rows, nil, [])
+  @typedoc """
+  What is left of a page: plain bytes; plain booleans, and those that are unpacked; numbers of entries of a dictionary;
+  runs of booleans; bytes that are apart, and how many values are taken; or values.
+  """
+  @type t ::
+          {:plain, Leaf.t(), binary()}
+          | {:bits, binary(), [boolean()]}
+          | {:entries, Runs.t(), dictionary()}
+          | {:booleans, Runs.t()}
+          | {:apart, Leaf.t(), pos_integer(), binary(), non_neg_integer()}
+          | {:decoded, [term()]}
 
-  @doc "All values of a leaf within a tree, with their levels of repetition and definition."
-  @spec entries(Leaf.t(), binary(), codec :: integer(), count :: term()) :: [
-          {non_neg_integer(), non_neg_integer(), term()}
-        ]
-  def entries(leaf, bytes, codec, count) when count in 0..@most_entries,
-    do: pages({leaf, :nested}, bytes, codec, count, nil, [])
+  @typedoc """
+  The entries of a dictionary: of one size as they are, decoded where they are needed, for there may be many more of
+  them than rows that are asked for; else the values.
+  """
+  @type dictionary ::
+          {:packed, Leaf.t(), width :: pos_integer(), binary()} | {:decoded, tuple()}
 
-  def entries(leaf, _bytes, _codec, count),
-    do: fail("a row group with #{inspect(count)} values of #{inspect(leaf.name)}")
-
-  defp pages(_how, _bytes, _codec, 0, _dictionary, found),
-    do: found |> Enum.reverse() |> Enum.concat()
-
-  defp pages({leaf, _} = how, bytes, codec, left, dictionary, found) do
-    {head, rest} = Thrift.read(bytes)
-    {size, stored} = {head[2], head[3]}
-
-    unless is_integer(size) and is_integer(stored) and stored in 0..byte_size(rest) and
-             size in 0..@most_page,
-           do: fail("a page of #{inspect(stored)} bytes in #{byte_size(rest)}")
-
-    <<body::binary-known(stored), rest::binary>> = rest
-
-    case head do
-      %{1 => 2, 7 => %{1 => n}} when is_integer(n) ->
-        dictionary = leaf |> plain(Packed.undo(codec, body, size), n) |> List.to_tuple()
-        pages(how, rest, codec, left, dictionary, found)
-
-      %{1 => 0, 5 => %{1 => n, 2 => encoding}} when n in 1..left//1 ->
-        values = data(how, Packed.undo(codec, body, size), n, encoding, dictionary)
-        pages(how, rest, codec, left - n, dictionary, [values | found])
-
-      %{1 => 3, 8 => %{1 => n, 4 => encoding} = v2} when n in 1..left//1 ->
-        values = data2(how, body, {codec, size}, n, encoding, v2, dictionary)
-        pages(how, rest, codec, left - n, dictionary, [values | found])
-
-      %{1 => kind} when kind not in [0, 2, 3] ->
-        pages(how, rest, codec, left, dictionary, found)
-
-      _ ->
-        fail("a page's header is malformed")
-    end
+  @doc "A dictionary of `n` entries."
+  @spec start_dictionary(Leaf.t(), binary(), non_neg_integer()) :: dictionary()
+  def start_dictionary(%{type: type} = leaf, bytes, n) when type in 1..5 do
+    width = @widths[type]
+    {entries, _rest} = split_bytes(bytes, n * width)
+    {:packed, leaf, width, entries}
   end
 
-  defp data({leaf, _} = how, bytes, n, encoding, dictionary) do
-    {repeats, bytes} = levels(bytes, leaf.repetition)
-    {defines, bytes} = levels(bytes, leaf.definition)
-    put(how, {repeats, defines}, n, &values(leaf, encoding, bytes, &1, dictionary))
+  def start_dictionary(leaf, bytes, n) do
+    {values, _rest} = decode_plain(leaf, bytes, n)
+    {:decoded, List.to_tuple(values)}
   end
 
-  # Levels of 0 are not written.
-  defp levels(bytes, 0), do: {"", bytes}
-
-  defp levels(<<n::little-32, levels::binary-size(n), bytes::binary>>, _most),
-    do: {levels, bytes}
-
-  defp levels(_bytes, _most), do: fail("levels that do not fit into their page")
-
-  # The second kind of page has its levels outside of what is packed.
-  defp data2({leaf, _} = how, body, {codec, size}, n, encoding, v2, dictionary) do
-    repeats = v2[6] || 0
-    defines = v2[5] || 0
-
-    unless repeats in 0..byte_size(body) and defines in 0..(byte_size(body) - repeats)//1,
-      do: fail("levels that do not fit into their page")
-
-    <<repeat::binary-known(repeats), define::binary-known(defines), packed::binary>> = body
-
-    unpacked =
-      if v2[7] == false,
-        do: packed,
-        else: Packed.undo(codec, packed, max(size - defines - repeats, 0))
-
-    put(how, {repeat, define}, n, &values(leaf, encoding, unpacked, &1, dictionary))
+  defp entry({:packed, leaf, width, bytes}, place) when (place + 1) * width <= byte_size(bytes) do
+    {[value], ""} = decode_plain(leaf, binary_part(bytes, place * width, width), 1)
+    value
   end
 
-  defp put({%{definition: 0}, :flat}, _levels, n, values), do: values.(n)
+  defp entry({:decoded, values}, place) when place < tuple_size(values), do: elem(values, place)
+  defp entry(_dictionary, _place), do: fail("a number beyond the dictionary")
 
-  defp put({_leaf, :flat}, {_repeats, defines}, n, values) do
-    levels = Runs.read(defines, 1, n)
-    spread(levels, values.(Enum.sum(levels)))
+  @doc "The values of a page of `n` rows or fewer, none of them taken."
+  @spec start(Leaf.t(), encoding :: integer(), binary(), n :: pos_integer(), dictionary() | nil) ::
+          t()
+  def start(%{type: 0}, 0, bytes, _n, _dictionary), do: {:bits, bytes, []}
+  def start(leaf, 0, bytes, _n, _dictionary), do: {:plain, leaf, bytes}
+  def start(_leaf, encoding, "", _n, _dictionary) when encoding in [2, 8], do: {:decoded, []}
+
+  def start(_leaf, encoding, <<width, bytes::binary>>, _n, dictionary)
+      when encoding in [2, 8] and dictionary != nil,
+      do: {:entries, Runs.start(bytes, width), dictionary}
+
+  def start(%{type: 0}, 3, <<size::little-32, bytes::binary-size(size), _::binary>>, _n, _),
+    do: {:booleans, Runs.start(bytes, 1)}
+
+  def start(%{type: type} = leaf, 5, bytes, n, _dictionary) when type in [1, 2] do
+    {values, _rest} = Runs.decode_deltas(bytes, n, if(type == 1, do: 32, else: 64))
+    {:decoded, Enum.map(values, &convert(&1, leaf.as))}
   end
 
-  defp put({leaf, :nested}, {repeats, defines}, n, values) do
-    repeats = Runs.read(repeats, width(leaf.repetition), n)
-    defines = Runs.read(defines, width(leaf.definition), n)
+  def start(%{type: 6} = leaf, 6, bytes, n, _dictionary),
+    do: {:decoded, bytes |> Deltas.decode_texts(n) |> Enum.map(&Leaf.meant(&1, leaf.as))}
 
-    levelled(
-      repeats,
-      defines,
-      leaf.definition,
-      values.(Enum.count(defines, &(&1 == leaf.definition)))
-    )
+  def start(%{type: type} = leaf, 7, bytes, n, _dictionary) when type in [6, 7],
+    do: {:decoded, bytes |> Deltas.decode_prefixed_texts(n) |> Enum.map(&Leaf.meant(&1, leaf.as))}
+
+  def start(leaf, 9, bytes, _n, _dictionary) do
+    width = width(leaf)
+    if rem(byte_size(bytes), width) != 0, do: fail("values whose bytes are apart, some cut short")
+    {:apart, leaf, width, bytes, 0}
   end
 
-  defp width(0), do: 0
-  defp width(most), do: most |> Integer.digits(2) |> length()
-
-  defp levelled([r | repeats], [d | defines], d, [value | values]),
-    do: [{r, d, value} | levelled(repeats, defines, d, values)]
-
-  defp levelled([r | repeats], [d | defines], most, values) when d < most,
-    do: [{r, d, nil} | levelled(repeats, defines, most, values)]
-
-  defp levelled([], [], _most, []), do: []
-  defp levelled(_, _, _, _), do: fail("more levels than values")
-
-  defp spread([1 | levels], [value | values]), do: [value | spread(levels, values)]
-  defp spread([0 | levels], values), do: [nil | spread(levels, values)]
-  defp spread([], []), do: []
-  defp spread(_, _), do: fail("more levels than values")
-
-  defp values(leaf, 0, bytes, n, _dictionary), do: plain(leaf, bytes, n)
-  defp values(_leaf, encoding, _bytes, 0, _dictionary) when encoding in [2, 8], do: []
-
-  defp values(_leaf, encoding, <<width, bytes::binary>>, n, dictionary)
-       when encoding in [2, 8] and dictionary != nil do
-    for i <- Runs.read(bytes, width, n) do
-      if i < tuple_size(dictionary),
-        do: elem(dictionary, i),
-        else: fail("a number beyond the dictionary")
-    end
+  def start(_leaf, encoding, _bytes, _n, _dictionary) do
+    name = @encodings[encoding] || inspect(encoding)
+    fail("values are written as #{name}, which is not read here")
   end
 
-  defp values(%{type: 0}, 3, <<size::little-32, bytes::binary-size(size), _::binary>>, n, _),
-    do: for(bit <- Runs.read(bytes, 1, n), do: bit == 1)
+  defp width(%{type: type}) when type in [1, 4], do: 4
+  defp width(%{type: type}) when type in [2, 5], do: 8
+  defp width(%{type: 7, length: length}) when length > 0, do: length
+  defp width(_leaf), do: fail("values whose bytes are apart, of no size")
 
-  defp values(%{type: type} = leaf, 5, bytes, n, _dictionary) when type in [1, 2] do
-    {values, _rest} = Runs.deltas(bytes, n)
-    if length(values) != n, do: fail("another number of values than the page says")
-    Enum.map(values, &converted(&1, leaf.as))
+  @doc "Takes the next `n` values."
+  @spec take(t(), non_neg_integer()) :: {[term()], t()}
+  def take(values, 0), do: {[], values}
+
+  def take({:plain, leaf, bytes}, n) do
+    {values, rest} = decode_plain(leaf, bytes, n)
+    {values, {:plain, leaf, rest}}
   end
 
-  defp values(%{type: 6} = leaf, 6, bytes, n, _dictionary),
-    do: bytes |> Deltas.texts(n) |> Enum.map(&Leaf.meant(&1, leaf.as))
-
-  defp values(%{type: type} = leaf, 7, bytes, n, _dictionary) when type in [6, 7],
-    do: bytes |> Deltas.prefixed(n) |> Enum.map(&Leaf.meant(&1, leaf.as))
-
-  defp values(leaf, 9, bytes, n, _dictionary),
-    do: plain(leaf, Deltas.streams(bytes, size(leaf), n), n)
-
-  defp values(_leaf, encoding, _bytes, _n, _dictionary),
-    do:
-      fail(
-        "values are written as #{@encodings[encoding] || inspect(encoding)}, which is not read here"
-      )
-
-  defp size(%{type: type}) when type in [1, 4], do: 4
-  defp size(%{type: type}) when type in [2, 5], do: 8
-  defp size(%{type: 7, length: length}) when length > 0, do: length
-  defp size(_leaf), do: fail("values whose bytes are apart, of no size")
-
-  # Every value takes a bit at least, so no memory is asked for that the bytes do not fill.
-  defp plain(leaf, bytes, n) do
-    values = all(leaf, bytes, n)
-    if length(values) != n, do: fail("another number of values than the page says"), else: values
+  # Eight booleans are a byte: some may be left over.
+  def take({:bits, bytes, held}, n) do
+    {packed, rest} = split_bytes(bytes, div(max(n - length(held), 0) + 7, 8))
+    {values, held} = Enum.split(held ++ bits(packed), n)
+    {values, {:bits, rest, held}}
   end
 
-  defp all(%{type: 0}, bytes, n) do
-    for(
-      <<a::1, b::1, c::1, d::1, e::1, f::1, g::1, h::1 <- bytes>>,
-      bit <- [h, g, f, e, d, c, b, a],
-      do: bit == 1
-    )
-    |> Enum.take(n)
+  def take({:entries, runs, dictionary}, n) do
+    {places, runs} = Runs.take(runs, n)
+
+    values = for place <- places, do: entry(dictionary, place)
+    {values, {:entries, runs, dictionary}}
   end
 
-  defp all(%{type: 1, as: as}, bytes, n),
-    do: for(<<x::little-signed-32 <- cut(bytes, n * 4)>>, do: converted(x, as))
+  def take({:booleans, runs}, n) do
+    {bits, runs} = Runs.take(runs, n)
+    {Enum.map(bits, &(&1 == 1)), {:booleans, runs}}
+  end
 
-  defp all(%{type: 2, as: as}, bytes, n),
-    do: for(<<x::little-signed-64 <- cut(bytes, n * 8)>>, do: converted(x, as))
+  def take({:apart, leaf, width, bytes, from}, n) do
+    {values, ""} = decode_plain(leaf, Deltas.join_bytes(bytes, width, from, n), n)
+    {values, {:apart, leaf, width, bytes, from + n}}
+  end
 
-  defp all(%{type: 3}, bytes, n),
-    do:
-      for(<<ns::little-64, day::little-32 <- cut(bytes, n * 12)>>,
-        do: (day - 2_440_588) * 86_400_000_000_000 + ns
-      )
+  def take({:decoded, values}, n) do
+    {taken, values} = Enum.split(values, n)
+    if length(taken) < n, do: fail("another number of values than the page says")
+    {taken, {:decoded, values}}
+  end
 
-  defp all(%{type: 4}, bytes, n), do: for(<<x::binary-4 <- cut(bytes, n * 4)>>, do: float(x))
-  defp all(%{type: 5}, bytes, n), do: for(<<x::binary-8 <- cut(bytes, n * 8)>>, do: float(x))
-  defp all(%{type: 6, as: as}, bytes, n), do: texts(bytes, n, as, [])
+  @doc "Whether the encoding, which counts its values itself, has more of them than were taken."
+  @spec left_over?(t()) :: boolean()
+  def left_over?(values), do: match?({:decoded, [_ | _]}, values)
 
-  defp all(%{type: 7, length: length, as: as}, bytes, n) when length > 0,
-    do:
-      for(
-        <<x::binary-known(length) <- cut(bytes, n * length)>>,
-        do: x |> :binary.copy() |> Leaf.meant(as)
-      )
+  @doc "Decodes the first `n` values as they are in memory (PLAIN); also returns the bytes after them."
+  @spec decode_plain(Leaf.t(), binary(), non_neg_integer()) :: {[term()], binary()}
+  def decode_plain(%{type: 0}, bytes, n) do
+    {packed, rest} = split_bytes(bytes, div(n + 7, 8))
+    {packed |> bits() |> Enum.take(n), rest}
+  end
 
-  defp all(_leaf, _bytes, _n), do: fail("values of no size")
+  def decode_plain(%{type: 6, as: as}, bytes, n), do: texts(bytes, n, as, [])
 
-  defp cut(bytes, n) when byte_size(bytes) >= n, do: binary_part(bytes, 0, n)
-  defp cut(_bytes, _n), do: fail("a page with too few values")
+  def decode_plain(%{type: 7, length: length, as: as}, bytes, n) when length > 0 do
+    {packed, rest} = split_bytes(bytes, n * length)
 
-  defp texts(_bytes, 0, _as, found), do: Enum.reverse(found)
+    values = for <<x::binary-known(length) <- packed>>, do: x |> :binary.copy() |> Leaf.meant(as)
+
+    {values, rest}
+  end
+
+  def decode_plain(%{type: type, as: as}, bytes, n) when type in 1..5 do
+    {packed, rest} = split_bytes(bytes, n * @widths[type])
+    {numbers(type, packed, as), rest}
+  end
+
+  def decode_plain(_leaf, _bytes, _n), do: fail("values of no size")
+
+  defp numbers(1, packed, as), do: for(<<x::little-signed-32 <- packed>>, do: convert(x, as))
+  defp numbers(2, packed, as), do: for(<<x::little-signed-64 <- packed>>, do: convert(x, as))
+
+  defp numbers(3, packed, _as) do
+    for <<ns::little-64, day::little-32 <- packed>>,
+      do: (day - 2_440_588) * 86_400_000_000_000 + ns
+  end
+
+  defp numbers(4, packed, _as), do: for(<<x::binary-4 <- packed>>, do: float(x))
+  defp numbers(5, packed, _as), do: for(<<x::binary-8 <- packed>>, do: float(x))
+
+  defp bits(packed) do
+    for <<a::1, b::1, c::1, d::1, e::1, f::1, g::1, h::1 <- packed>>,
+        bit <- [h, g, f, e, d, c, b, a],
+        do: bit == 1
+  end
+
+  defp split_bytes(bytes, n) when n in 0..byte_size(bytes)//1 do
+    <<part::binary-known(n), rest::binary>> = bytes
+    {part, rest}
+  end
+
+  defp split_bytes(_bytes, _n), do: fail("a page with too few values")
+
+  defp texts(bytes, 0, _as, found), do: {Enum.reverse(found), bytes}
 
   defp texts(<<n::little-32, text::binary-size(n), rest::binary>>, left, as, found),
     do: texts(rest, left - 1, as, [text |> :binary.copy() |> Leaf.meant(as) | found])
@@ -225,11 +196,11 @@ defmodule Situ.Bridge.Parquet.Values do
   defp float(<<0, 0, 0x80, 0xFF>>), do: :neg_infinity
   defp float(_), do: :nan
 
-  defp converted(n, nil), do: n
-  defp converted(n, {:times, factor}), do: n * factor
-  defp converted(n, {:scale, scale}), do: n / Integer.pow(10, scale)
-  defp converted(n, {:unsigned, bits}) when n < 0, do: n + Integer.pow(2, bits)
-  defp converted(n, {:unsigned, _}), do: n
+  defp convert(n, nil), do: n
+  defp convert(n, {:times, factor}), do: n * factor
+  defp convert(n, {:scale, scale}), do: n / Integer.pow(10, scale)
+  defp convert(n, {:unsigned, bits}) when n < 0, do: n + Integer.pow(2, bits)
+  defp convert(n, {:unsigned, _}), do: n
 
   defp fail(why), do: throw({:not_parquet, why})
 end

@@ -1,0 +1,55 @@
+defmodule Situ.Bridge.Arrow.Buffer do
+  @moduledoc false
+  # The bytes of a column in a batch, read where and when they are needed: in a file as they are, or in memory where
+  # they are packed. Throws `{:not_arrow, why}`.
+  alias Situ.Bridge.Native
+
+  @most 1_073_741_824
+  @codecs %{0 => "lz4", 1 => "zstd"}
+
+  @typedoc "The size, and a function that reads so many bytes at a place."
+  @type t ::
+          {size :: non_neg_integer(),
+           (at :: non_neg_integer(), n :: non_neg_integer() -> binary())}
+
+  @spec from_binary(binary()) :: t()
+  def from_binary(bytes), do: {byte_size(bytes), &binary_part(bytes, &1, &2)}
+
+  @doc "The buffer as it was before it was packed."
+  @spec unpack(t(), codec :: integer() | nil) :: t()
+  def unpack(buffer, nil), do: buffer
+  def unpack({0, _read} = buffer, _codec), do: buffer
+
+  def unpack({size, read}, codec) when size >= 8 and is_map_key(@codecs, codec) do
+    case read.(0, 8) do
+      <<-1::little-signed-64>> -> {size - 8, &read.(&1 + 8, &2)}
+      <<n::little-signed-64>> -> from_binary(unpacked(@codecs[codec], read.(8, size - 8), n))
+    end
+  end
+
+  def unpack(_buffer, _codec), do: fail("a buffer packed in a way that is not known")
+
+  defp unpacked(codec, bytes, size) when size in 0..@most do
+    case Native.unpack(codec, bytes, size) do
+      {:ok, unpacked} when byte_size(unpacked) == size -> unpacked
+      {:ok, _} -> fail("a buffer unpacks to another size")
+      {:error, why} -> fail("a buffer that cannot be unpacked: #{inspect(why)}")
+    end
+  end
+
+  defp unpacked(_codec, _bytes, size), do: fail("a buffer that unpacks to #{size} bytes")
+
+  @doc """
+  Reads `n` bytes at `at`.
+
+      iex> alias Situ.Bridge.Arrow.Buffer
+      iex> Buffer.read(Buffer.from_binary("abcdef"), 2, 3)
+      "cde"
+  """
+  @spec read(t(), integer(), integer()) :: binary()
+  def read(_buffer, _at, 0), do: ""
+  def read({size, read}, at, n) when at >= 0 and n > 0 and at + n <= size, do: read.(at, n)
+  def read(_buffer, _at, _n), do: fail("a buffer that is too short for its rows")
+
+  defp fail(why), do: throw({:not_arrow, why})
+end

@@ -1,0 +1,32 @@
+defmodule Situ.Bridge.Columnar.Names do
+  @moduledoc false
+  # Names of columns. Nothing keeps a file from having several columns of one name; a row, which is a map, has one. Pure.
+
+  @doc """
+  Numbers the later ones of columns that have one name, by a name that no other column has.
+
+      iex> columns = for name <- ["x", "x", "x_1", "x"], do: %{name: name}
+      iex> for column <- Situ.Bridge.Columnar.Names.distinguish(columns), do: column.name
+      ["x", "x_2", "x_1", "x_3"]
+  """
+  @spec distinguish([column]) :: [column] when column: %{name: String.t()}
+  def distinguish(columns) do
+    taken = MapSet.new(columns, & &1.name)
+    {columns, _} = Enum.map_reduce(columns, {MapSet.new(), taken, %{}}, &rename/2)
+    columns
+  end
+
+  defp rename(%{name: name} = column, {seen, taken, numbers}) do
+    if name in seen do
+      {free, n} = free_name(name, taken, Map.get(numbers, name, 0) + 1)
+      {%{column | name: free}, {seen, MapSet.put(taken, free), Map.put(numbers, name, n)}}
+    else
+      {column, {MapSet.put(seen, name), taken, numbers}}
+    end
+  end
+
+  defp free_name(name, taken, n) do
+    free = "#{name}_#{n}"
+    if free in taken, do: free_name(name, taken, n + 1), else: {free, n}
+  end
+end

@@ -1,0 +1,148 @@
+defmodule Situ.Bridge.Parquet.Page do
+  @moduledoc false
+  # One page of a column's values: its levels and its values, taken a few at a time. Pure, but for what unpacks. Throws
+  # `{:not_parquet, why}`.
+  import Situ.Bits, only: [known: 1]
+  alias Situ.Bridge.Parquet.{Leaf, Packed, Runs, Values}
+
+  @most_bytes 1_073_741_824
+
+  @enforce_keys [:leaf, :left, :repeats, :defines, :values]
+  defstruct @enforce_keys
+
+  @typedoc "`left` are the entries that are not taken yet."
+  @type t :: %__MODULE__{
+          leaf: Leaf.t(),
+          left: non_neg_integer(),
+          repeats: Runs.t(),
+          defines: Runs.t(),
+          values: Values.t()
+        }
+
+  @typedoc "How a column chunk is packed; `packed?` where its file says of packed pages that they are not."
+  @type packing :: %{codec: integer(), packed?: boolean()}
+
+  @typedoc "A value with its levels of repetition and definition, or of a flat column the value alone."
+  @type entry :: {non_neg_integer(), non_neg_integer(), term()} | term()
+
+  @doc "The size of a page's body in the file, from its header. Throws where there is no room for it."
+  @spec stored_size(map(), room :: non_neg_integer()) :: non_neg_integer()
+  def stored_size(%{2 => size, 3 => stored}, room)
+      when stored in 0..room//1 and size in 0..@most_bytes,
+      do: stored
+
+  def stored_size(head, room), do: fail("a page of #{inspect(head[3])} bytes in #{room}")
+
+  @doc "The entries of a page that holds a dictionary."
+  @spec decode_dictionary(map(), binary(), Leaf.t(), packing()) :: Values.dictionary()
+  def decode_dictionary(%{2 => size, 7 => %{1 => n}}, body, leaf, packing)
+      when is_integer(n) and n >= 0 do
+    Values.start_dictionary(leaf, Packed.undo(packing.codec, body, size), n)
+  end
+
+  def decode_dictionary(_head, _body, _leaf, _packing), do: fail("a page's header is malformed")
+
+  @doc "A page of at most `most` entries, or `nil` for one that holds no values."
+  @spec start(
+          map(),
+          binary(),
+          {Leaf.t(), packing(), Values.dictionary() | nil},
+          most :: pos_integer()
+        ) ::
+          t() | nil
+  def start(%{1 => 0, 2 => size, 5 => %{1 => n, 2 => encoding}}, body, column, most)
+      when n in 0..most//1 do
+    {leaf, packing, dictionary} = column
+    bytes = Packed.undo(packing.codec, body, size)
+    {repeats, bytes} = split_levels(bytes, leaf.repetition)
+    {defines, bytes} = split_levels(bytes, leaf.definition)
+    page(leaf, n, {repeats, defines}, {encoding, bytes, dictionary})
+  end
+
+  # The second kind of page has its levels outside of what is packed.
+  def start(%{1 => 3, 2 => size, 8 => %{1 => n, 4 => encoding} = head}, body, column, most)
+      when n in 0..most//1 do
+    {leaf, packing, dictionary} = column
+    {repeats, defines} = {head[6] || 0, head[5] || 0}
+
+    unless repeats in 0..byte_size(body) and defines in 0..(byte_size(body) - repeats)//1,
+      do: fail("levels that do not fit into their page")
+
+    <<repeat::binary-known(repeats), define::binary-known(defines), rest::binary>> = body
+    size = max(size - defines - repeats, 0)
+    # pyarrow before version 3 packs such pages and says that it does not; the sizes give it away.
+    plain? = head[7] == false and not packing.packed? and size == byte_size(rest)
+    bytes = if plain?, do: rest, else: Packed.undo(packing.codec, rest, size)
+    page(leaf, n, {repeat, define}, {encoding, bytes, dictionary})
+  end
+
+  def start(%{1 => kind}, _body, _column, _most) when kind not in [0, 2, 3], do: nil
+  def start(_head, _body, _column, _most), do: fail("a page's header is malformed")
+
+  # Levels of 0 are not written.
+  defp split_levels(bytes, 0), do: {"", bytes}
+
+  defp split_levels(<<n::little-32, levels::binary-size(n), bytes::binary>>, _most),
+    do: {levels, bytes}
+
+  defp split_levels(_bytes, _most), do: fail("levels that do not fit into their page")
+
+  defp page(leaf, n, {repeats, defines}, {encoding, bytes, dictionary}) do
+    %__MODULE__{
+      leaf: leaf,
+      left: n,
+      repeats: Runs.start(repeats, width(leaf.repetition)),
+      defines: Runs.start(defines, width(leaf.definition)),
+      values: Values.start(leaf, encoding, bytes, n, dictionary)
+    }
+  end
+
+  defp width(0), do: 0
+  defp width(most), do: most |> Integer.digits(2) |> length()
+
+  @doc "Takes the next `n` values of a flat column, `nil` where one is missing."
+  @spec take_values(t(), non_neg_integer()) :: {[term()], t()}
+  def take_values(%{leaf: %{definition: 0}} = page, n) do
+    {values, left} = Values.take(page.values, n)
+    {values, taken(%{page | values: left}, n)}
+  end
+
+  def take_values(page, n) do
+    {defines, defines_left} = Runs.take(page.defines, n)
+    {values, values_left} = Values.take(page.values, Enum.count(defines, &(&1 == 1)))
+    page = %{page | defines: defines_left, values: values_left}
+    {put_missing(defines, values), taken(page, n)}
+  end
+
+  defp put_missing([1 | defines], [value | values]), do: [value | put_missing(defines, values)]
+  defp put_missing([_ | defines], values), do: [nil | put_missing(defines, values)]
+  defp put_missing([], []), do: []
+
+  @doc "Takes the next `n` values of a column within others, with their levels."
+  @spec take_entries(t(), non_neg_integer()) :: {[entry()], t()}
+  def take_entries(%{leaf: %{definition: most}} = page, n) do
+    {repeats, repeats_left} = Runs.take(page.repeats, n)
+    {defines, defines_left} = Runs.take(page.defines, n)
+    {values, values_left} = Values.take(page.values, Enum.count(defines, &(&1 == most)))
+    page = %{page | repeats: repeats_left, defines: defines_left, values: values_left}
+    {put_levels(repeats, defines, most, values), taken(page, n)}
+  end
+
+  defp put_levels([r | repeats], [d | defines], d, [value | values]),
+    do: [{r, d, value} | put_levels(repeats, defines, d, values)]
+
+  defp put_levels([r | repeats], [d | defines], most, values) when d < most,
+    do: [{r, d, nil} | put_levels(repeats, defines, most, values)]
+
+  defp put_levels([], [], _most, []), do: []
+  defp put_levels(_, _, _, _), do: fail("levels beyond those of their column")
+
+  defp taken(%{left: n} = page, n) do
+    if Values.left_over?(page.values), do: fail("another number of values than the page says")
+    %{page | left: 0}
+  end
+
+  defp taken(page, n), do: %{page | left: page.left - n}
+
+  defp fail(why), do: throw({:not_parquet, why})
+end
