@@ -128,6 +128,9 @@ defmodule Situ.Bridge.Arrow do
   @doc """
   The rows as a lazy enumerable of `{time, value}`. Memory is that of some rows; of a packed batch, that of its columns
   that are wanted. Columns that are left out are logged. Raises `Situ.Error`: `:io`, `:not_arrow`, `:no_column`.
+
+  Options: `time:` and `columns:` as `read/3`; `notice:`, a function that gets a sentence about columns, and about rows,
+  that are left out; by default it is logged as a warning.
   """
   @spec messages(Path.t(), keyword()) :: Enumerable.t()
   def messages(path, opts \\ []), do: Columnar.messages(File, path, opts)

@@ -211,29 +211,44 @@ defmodule Situ.Bridge.Columnar do
     end
   end
 
-  @doc "The rows as a lazy enumerable of `{time, value}`, read some at a time. Raises `Situ.Error`."
+  @doc """
+  The rows as a lazy enumerable of `{time, value}`, read some at a time. Raises `Situ.Error`. Options besides `time:` and
+  `columns:`: `notice:`, a function of a sentence for each kind of thing that is left out.
+  """
   @spec messages(module(), Path.t(), keyword()) :: Enumerable.t()
   def messages(reader, path, opts) do
     table = Error.unwrap!(reader.open(path))
     time = time(table, opts[:time])
     wanted = wanted(table, opts[:columns], time)
-    if opts[:columns] == nil, do: warn_left_out(table)
+    notice = opts[:notice] || fn sentence -> Logger.warning(sentence) end
+
+    if opts[:columns] == nil and table.left_out != [],
+      do: notice.("#{path}: columns are left out: #{list_left_out(table)}")
 
     table.groups
     |> Stream.flat_map(&reader.stream_rows(table, &1, [time | wanted]))
-    |> Stream.transform(nil, fn
-      [time | values], last when is_integer(time) and (last == nil or time > last) ->
-        {[{time, value(wanted, values)}], time}
+    |> Stream.transform(
+      fn -> {nil, 0} end,
+      fn
+        [time | values], {last, left_out}
+        when is_integer(time) and (last == nil or time > last) ->
+          {[{time, value(wanted, values)}], {time, left_out}}
 
-      _row, last ->
-        {[], last}
-    end)
+        _row, {last, left_out} ->
+          {[], {last, left_out + 1}}
+      end,
+      fn {_last, left_out} = acc ->
+        if left_out > 0,
+          do:
+            notice.(
+              "#{path}: #{left_out} rows are left out: without a time, or not later than the row before"
+            )
+
+        {[], acc}
+      end,
+      fn _acc -> :ok end
+    )
   end
-
-  defp warn_left_out(%{left_out: []}), do: :ok
-
-  defp warn_left_out(table),
-    do: Logger.warning("#{table.path}: columns are left out: #{list_left_out(table)}")
 
   defp list_left_out(table),
     do: Enum.map_join(table.left_out, ", ", fn {name, type} -> "#{name} (#{type})" end)

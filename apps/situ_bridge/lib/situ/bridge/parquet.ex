@@ -129,6 +129,9 @@ defmodule Situ.Bridge.Parquet do
   @doc """
   The rows as a lazy enumerable of `{time, value}`. Memory is that of a page of each column that is wanted. Raises
   `Situ.Error`: `:io`, `:not_parquet`, `:no_column`.
+
+  Options: `time:` and `columns:` as `read/3`; `notice:`, a function that gets a sentence about columns, and about rows,
+  that are left out; by default it is logged as a warning.
   """
   @spec messages(Path.t(), keyword()) :: Enumerable.t()
   def messages(path, opts \\ []), do: Columnar.messages(File, path, opts)

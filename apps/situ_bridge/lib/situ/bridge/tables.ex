@@ -18,8 +18,9 @@ defmodule Situ.Bridge.Tables do
   @type table :: {stream :: String.t(), Path.t(), format() | {:protobuf, keyword()}}
 
   @doc """
-  Makes the next version of the store `out` (`ROOT/NAME`): `{:ok, path, %{stream => messages}}`. Option: `progress:`, a
-  function of the messages written so far. Errors: those of the formats, and `:not_increasing` where the times of a file
+  Makes the next version of the store `out` (`ROOT/NAME`): `{:ok, path, %{stream => messages}}`. Options: `progress:`, a
+  function of the messages written so far, and `notice:`, a function of a sentence for columns and rows that a table
+  leaves out (by default they are logged). Errors: those of the formats, and `:not_increasing` where the times of a file
   do not increase.
   """
   @spec import([table()], Path.t(), keyword()) ::
@@ -35,7 +36,7 @@ defmodule Situ.Bridge.Tables do
         |> Enum.reduce_while(:ok, fn {table, at}, :ok ->
           told = fn n -> progress.(:atomics.add_get(counts, at, n)) end
 
-          case written(writer, table, told) do
+          case written(writer, table, told, opts[:notice]) do
             :ok -> {:cont, :ok}
             error -> {:halt, error}
           end
@@ -48,11 +49,13 @@ defmodule Situ.Bridge.Tables do
     end
   end
 
-  defp written(writer, {name, path, format}, told) do
-    messages = messages(path, format)
+  defp written(writer, {name, path, format}, told, notice) do
+    # The first time they are gone through for their type, where nobody wants to read of it twice.
+    type = type(path, messages(path, format, fn _sentence -> :ok end))
 
-    with {:ok, stream} <- Writer.stream(writer, name, type: type(path, messages)) do
-      messages
+    with {:ok, stream} <- Writer.stream(writer, name, type: type) do
+      path
+      |> messages(format, notice)
       |> Stream.with_index(1)
       |> Stream.chunk_every(@batch)
       |> Enum.reduce_while({:ok, stream, nil}, fn batch, {:ok, stream, _last} ->
@@ -83,10 +86,13 @@ defmodule Situ.Bridge.Tables do
   defp message({{time, value}, n}),
     do: %Message{data: value, originating_time: time, creation_time: time, sequence_id: n}
 
-  defp messages(path, :parquet), do: Bridge.Parquet.messages(path)
-  defp messages(path, :arrow), do: Bridge.Arrow.messages(path)
-  defp messages(path, {:protobuf, opts}), do: Bridge.Protobuf.File.messages(path, opts)
-  defp messages(path, format), do: Bridge.File.messages(path, format)
+  defp messages(path, :parquet, notice), do: Bridge.Parquet.messages(path, notice: notice)
+  defp messages(path, :arrow, notice), do: Bridge.Arrow.messages(path, notice: notice)
+
+  defp messages(path, {:protobuf, opts}, _notice),
+    do: Bridge.Protobuf.File.messages(path, opts)
+
+  defp messages(path, format, _notice), do: Bridge.File.messages(path, format)
 
   # The type of all values; unknown for a pipe, which can be read only once.
   defp type(path, messages) do

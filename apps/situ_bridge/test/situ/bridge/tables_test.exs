@@ -1,6 +1,8 @@
 defmodule Situ.Bridge.TablesTest do
   use ExUnit.Case, async: true
+  alias Situ.Bridge
   alias Situ.Bridge.{Format, Tables}
+  alias Situ.Message
   alias Situ.Store
 
   @moduletag :tmp_dir
@@ -66,6 +68,30 @@ defmodule Situ.Bridge.TablesTest do
              {"A", :integer, 1_500},
              {"b", :string, 1}
            ]
+  end
+
+  test "columns and rows that a table leaves out are named, once each", %{tmp_dir: root} do
+    test = self()
+    notice = &send(test, {:notice, &1})
+    kinds = Path.expand("../../data/arrow/pyarrow-kinds.arrow", __DIR__)
+    tables = [{"Kinds", kinds, :arrow}]
+    assert {:ok, _, %{"Kinds" => 3}} = Tables.import(tables, Path.join(root, "a"), notice: notice)
+    assert_received {:notice, sentence}
+    assert sentence =~ "u (union), r (run_end_encoded)"
+    refute_received {:notice, _}
+
+    late = Path.join(root, "late.parquet")
+
+    parts = [
+      for(t <- [1, 3, 2, 3, 4], do: %Message{data: t, originating_time: t, creation_time: t})
+    ]
+
+    {:ok, 5} = Bridge.Parquet.write_messages(parts, late)
+    tables = [{"Late", late, :parquet}]
+    assert {:ok, _, %{"Late" => 3}} = Tables.import(tables, Path.join(root, "b"), notice: notice)
+    assert_received {:notice, sentence}
+    assert sentence =~ "2 rows are left out"
+    refute_received {:notice, _}
   end
 
   test "an error leaves no store", %{tmp_dir: root} do

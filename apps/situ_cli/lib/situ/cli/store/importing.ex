@@ -143,9 +143,12 @@ defmodule Situ.CLI.Store.Importing do
   defp name(name), do: name
 
   defp imported([{name, "-", format}], out),
-    do: Input.spooled(&Tables.import([{name, &1, format}], out))
+    do: Input.spooled(&import_named([{name, &1, format}], out))
 
-  defp imported(named, out), do: Tables.import(named, out)
+  defp imported(named, out), do: import_named(named, out)
+
+  # What a table leaves out is named to whoever imports it.
+  defp import_named(named, out), do: Tables.import(named, out, notice: &Output.warn/1)
 
   defp recordings(paths, out, opts) do
     Recording.ready(paths)
@@ -195,7 +198,7 @@ defmodule Situ.CLI.Store.Importing do
     try do
       format = table(Tables.format(path), opts)
 
-      case Tables.import([{Tables.name(path), path, format}], Path.join(root, "t")) do
+      case import_named([{Tables.name(path), path, format}], Path.join(root, "t")) do
         {:ok, store, _} -> Saving.save(%{path: store, file: out}, opts)
         {:error, %Error{} = error} -> raise error
       end
