@@ -52,6 +52,85 @@ defmodule Situ.Space.ScanTest do
 
   doctest Situ.Space.Scan.Text
 
+  describe "numbers as texts that are none, or too large" do
+    setup do
+      root = Path.join(System.tmp_dir!(), "situ-scan-#{System.unique_integer([:positive])}")
+      File.mkdir_p!(root)
+      on_exit(fn -> File.rm_rf!(root) end)
+
+      %{
+        read: fn name, text ->
+          path = Path.join(root, name)
+          File.write!(path, text)
+          Scan.read(path)
+        end
+      }
+    end
+
+    test "are clear errors of a mesh", %{read: read} do
+      stl =
+        &"solid a\nfacet\nvertex 0 0 #{&1}\nvertex 1 0 0\nvertex 0 1 0\nendfacet\nendsolid a\n"
+
+      for {z, told} <- [
+            {"1.0e400", "1.0e400, which is not finite"},
+            {"1e39", "not finite in 32 bits"},
+            {"nan", "nan, which is not finite"},
+            {"x", ~s("x" is no number)}
+          ],
+          {name, text} <- [
+            {"a.obj", "v 0 0 #{z}\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"},
+            {"a.stl", stl.(z)}
+          ] do
+        assert {:error, %{code: :bad_file, why: why}} = read.(name, text)
+        assert why =~ told
+      end
+    end
+
+    test "are points that are nowhere, and colours that are black or full", %{read: read} do
+      ply =
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n" <>
+          "property float red\nproperty float green\nproperty float blue\nend_header\n" <>
+          "1 2 3 1e400 nan .5\n-1.0e400 0 0 1 1e308 -1e308\n4 5 nan 0 0 0\n"
+
+      assert {:ok, cloud} = read.("a.ply", ply)
+      assert PointCloud.to_points(cloud) == [{1.0, 2.0, 3.0}]
+      assert PointCloud.count(cloud) == 3
+      assert cloud.colors == <<255, 0, 128, 255, 255, 0, 0, 0, 0>>
+
+      pcd = fn row ->
+        "FIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nPOINTS 2\nDATA ascii\n1 2 3 0\n#{row}\n"
+      end
+
+      assert {:ok, cloud} = read.("a.pcd", pcd.("inf -1e400 5 1e39"))
+      assert PointCloud.to_points(cloud) == [{1.0, 2.0, 3.0}]
+      assert PointCloud.count(cloud) == 2
+      assert cloud.colors == <<0::48>>
+      assert {:error, %{why: ~s("x" is no number)}} = read.("a.pcd", pcd.("1 x 5 0"))
+      short = String.replace(pcd.("1 2 3 4"), "COUNT 1 1 1 1", "COUNT 1 1 1")
+      assert {:error, %{why: why}} = read.("a.pcd", short)
+      assert why =~ "4 FIELDS, and a COUNT of 3"
+      assert {:ok, _} = read.("a.pcd", String.replace(pcd.("1 2 3 4"), "POINTS", " \nPOINTS"))
+    end
+
+    test "of lists in a PLY are errors", %{read: read} do
+      for n <- ["-3", "1.5", "nan"] do
+        text =
+          "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n" <>
+            "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n#{n} 0 0 0\n"
+
+        assert {:error, %{code: :bad_file}} = read.("a.ply", text)
+      end
+    end
+
+    test "OBJ lines go on behind a backslash, and colours may be NaN", %{read: read} do
+      text = "v 0 0 \\\n0 nan nan nan\nv 1 0 0 1 0.5 0\nv 0 1 0 2 -1 inf\n"
+      assert {:ok, %PointCloud{colors: colors}} = read.("a.obj", text)
+      assert colors == <<0, 0, 0, 255, 128, 0, 255, 0, 255>>
+      assert {:ok, %Mesh{} = mesh} = read.("a.obj", text <> "f 1 \\\r\n 2 3\n")
+      assert Mesh.encode(mesh) |> IO.iodata_length() > 0
+    end
+  end
+
   test "PLY as text: a number of hundreds of digits is an error" do
     text =
       "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n" <>

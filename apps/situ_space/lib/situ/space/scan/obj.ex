@@ -12,6 +12,7 @@ defmodule Situ.Space.Scan.Obj do
   def read(text) do
     {vertices, colors, faces, count} =
       text
+      |> join_lines()
       |> String.split(["\r\n", "\n"], trim: true)
       |> Enum.reduce({[], [], [], 0}, &line(String.split(&1), &2))
 
@@ -24,6 +25,13 @@ defmodule Situ.Space.Scan.Obj do
     end
   catch
     {:bad, why} -> bad(why)
+  end
+
+  # A line that ends in a backslash goes on in the next one.
+  defp join_lines(text) do
+    if :binary.match(text, "\\") == :nomatch,
+      do: text,
+      else: String.replace(text, ["\\\r\n", "\\\n"], " ")
   end
 
   defp bad(why),
@@ -52,11 +60,19 @@ defmodule Situ.Space.Scan.Obj do
   defp line(_words, acc), do: acc
 
   defp color([r, g, b], colors),
-    do: [for(word <- [r, g, b], into: <<>>, do: <<tone(number(word))>>) | colors]
+    do: [for(word <- [r, g, b], into: <<>>, do: <<tone(word)>>) | colors]
 
   defp color(_weight, colors), do: colors
 
-  defp tone(x), do: round(255 * (x |> max(0.0) |> min(1.0)))
+  # Scanners write NaN where they saw no colour.
+  defp tone(word) do
+    case Text.number(word) do
+      {:ok, x} when is_float(x) -> round(255 * (x |> max(0.0) |> min(1.0)))
+      {:ok, :infinity} -> 255
+      {:ok, _} -> 0
+      :error -> throw({:bad, "#{inspect(String.slice(word, 0, 40))} is no number"})
+    end
+  end
 
   # Where some vertices have none, nobody knows whose they are.
   defp colors(colors, count) when length(colors) == count,
@@ -65,9 +81,17 @@ defmodule Situ.Space.Scan.Obj do
   defp colors(_colors, _count), do: nil
 
   defp number(word) do
-    case Text.float(word) do
-      {:ok, x} when abs(x) < 3.4e38 -> x
-      _ -> throw({:bad, "#{inspect(String.slice(word, 0, 40))} is no number"})
+    case Text.number(word) do
+      {:ok, x} when is_float(x) and abs(x) < 3.4e38 ->
+        x
+
+      {:ok, _} ->
+        throw(
+          {:bad, "a vertex is at #{String.slice(word, 0, 40)}, which is not finite in 32 bits"}
+        )
+
+      :error ->
+        throw({:bad, "#{inspect(String.slice(word, 0, 40))} is no number"})
     end
   end
 

@@ -22,6 +22,8 @@ defmodule Situ.Space.Scan.Pcd do
       {:error, why} when is_binary(why) -> bad(why)
       {:error, %Error{}} = error -> error
     end
+  catch
+    {:no_number, word} -> bad("#{inspect(String.slice(word, 0, 40))} is no number")
   end
 
   defp bad(why),
@@ -46,9 +48,10 @@ defmodule Situ.Space.Scan.Pcd do
   defp header(text) do
     for line <- String.split(text, ["\r\n", "\n"], trim: true),
         not String.starts_with?(line, "#"),
-        [key | words] = String.split(line),
+        words = String.split(line),
+        words != [],
         into: %{},
-        do: {key, words}
+        do: {hd(words), tl(words)}
   end
 
   # {name, type, bytes, how many, where in a row}
@@ -57,7 +60,15 @@ defmodule Situ.Space.Scan.Pcd do
               length(names) <= 100 do
     counts = header["COUNT"] || Enum.map(names, fn _ -> "1" end)
 
-    Enum.zip([names, types, sizes, counts])
+    if length(counts) == length(names),
+      do: place_fields(Enum.zip([names, types, sizes, counts])),
+      else: {:error, "its header has #{length(names)} FIELDS, and a COUNT of #{length(counts)}"}
+  end
+
+  defp fields(_header), do: {:error, "its header has no FIELDS, SIZE and TYPE of one length"}
+
+  defp place_fields(rows) do
+    rows
     |> Enum.reduce_while({:ok, [], 0}, fn {name, type, size, count}, {:ok, fields, at} ->
       case {Integer.parse(size), Integer.parse(count)} do
         {{size, ""}, {count, ""}} when size in [1, 2, 4, 8] and count in 1..10_000 ->
@@ -72,8 +83,6 @@ defmodule Situ.Space.Scan.Pcd do
       error -> error
     end
   end
-
-  defp fields(_header), do: {:error, "its header has no FIELDS, SIZE and TYPE of one length"}
 
   defp placed(fields, row) do
     if Enum.all?(["x", "y", "z"], &List.keymember?(fields, &1, 0)),
@@ -227,17 +236,21 @@ defmodule Situ.Space.Scan.Pcd do
   defp value(_, 4, bytes), do: {:bits, bytes}
   defp value(_, _, _), do: :nan
 
-  defp word(text, "F") do
-    case Text.float(text) do
-      {:ok, x} -> x
-      :error -> :nan
-    end
-  end
+  defp word(text, "F"), do: number_of(text)
 
   defp word(text, _) do
     case Integer.parse(text) do
       {n, ""} -> n
-      _ -> :nan
+      _ -> number_of(text)
+    end
+  end
+
+  # An infinite coordinate is as little a place as NaN is.
+  defp number_of(text) do
+    case Text.number(text) do
+      {:ok, x} when is_float(x) -> x
+      {:ok, _} -> :nan
+      :error -> throw({:no_number, text})
     end
   end
 
@@ -245,7 +258,9 @@ defmodule Situ.Space.Scan.Pcd do
   defp float(_), do: @nan
 
   # A colour is a number of 32 bits, mostly written as the float that has these bits.
-  defp color(x, {_, "F", 4, _, _}) when is_float(x), do: bgr(<<x::little-float-32>>)
+  defp color(x, {_, "F", 4, _, _}) when is_float(x) and abs(x) < 3.4e38,
+    do: bgr(<<x::little-float-32>>)
+
   defp color({:bits, bytes}, _), do: bgr(bytes)
   defp color(n, _) when is_integer(n) and n >= 0, do: bgr(<<n::little-32>>)
   defp color(_, _), do: <<0, 0, 0>>

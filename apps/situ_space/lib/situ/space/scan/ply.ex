@@ -156,9 +156,13 @@ defmodule Situ.Space.Scan.Ply do
   defp words([], []), do: []
 
   defp words([n | words], [{_, {:list, _, _}} | properties]) do
-    {own, rest} = Enum.split(words, number(n))
+    {own, rest} = Enum.split(words, count(n))
     [Enum.map(own, &number/1) | words(rest, properties)]
   end
+
+  # A colour of 1 is 255 where it is a float.
+  defp words([word | words], [{_, {:float, _}} | properties]),
+    do: [float_number(word) | words(words, properties)]
 
   defp words([word | words], [_ | properties]), do: [number(word) | words(words, properties)]
   defp words(_words, []), do: []
@@ -167,7 +171,17 @@ defmodule Situ.Space.Scan.Ply do
   defp number(word) do
     case Integer.parse(word) do
       {n, ""} -> n
-      _ -> with {:ok, x} <- Text.float(word), do: x, else: (_ -> throw(:no_number))
+      _ -> float_number(word)
+    end
+  end
+
+  defp float_number(word),
+    do: with({:ok, x} <- Text.number(word), do: x, else: (:error -> throw(:no_number)))
+
+  defp count(word) do
+    case Integer.parse(word) do
+      {n, ""} when n >= 0 -> n
+      _ -> throw(:no_number)
     end
   end
 
@@ -272,7 +286,8 @@ defmodule Situ.Space.Scan.Ply do
   end
 
   defp tone(x) when is_integer(x), do: x |> max(0) |> min(255)
-  defp tone(x) when is_float(x), do: tone(round(x * 255))
+  defp tone(x) when is_float(x), do: round(255 * (x |> max(0.0) |> min(1.0)))
+  defp tone(:infinity), do: 255
   defp tone(_), do: 0
 
   defp faces(rows, elements) do

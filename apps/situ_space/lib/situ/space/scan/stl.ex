@@ -43,9 +43,17 @@ defmodule Situ.Space.Scan.Stl do
 
   defp corner([_, _, _] = words) do
     for word <- words, into: <<>> do
-      case Text.float(word) do
-        {:ok, x} when abs(x) < 3.4e38 -> <<x::little-float-32>>
-        _ -> throw({:bad, "#{inspect(String.slice(word, 0, 40))} is no number"})
+      case Text.number(word) do
+        {:ok, x} when is_float(x) and abs(x) < 3.4e38 ->
+          <<x::little-float-32>>
+
+        {:ok, _} ->
+          throw(
+            {:bad, "a vertex is at #{String.slice(word, 0, 40)}, which is not finite in 32 bits"}
+          )
+
+        :error ->
+          throw({:bad, "#{inspect(String.slice(word, 0, 40))} is no number"})
       end
     end
   end
