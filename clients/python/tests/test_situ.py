@@ -1,12 +1,16 @@
 """Written messages are read again; hostile files are refused. Standard library and, if installed, numpy."""
+import base64
 import math
 import os
 import random
 import struct
+import subprocess
+import sys
 import tempfile
 import unittest
 
 import situ
+from situ import bytes as crc
 from situ import formats, terms, values
 from situ.bytes import Damaged, Missing
 
@@ -81,6 +85,77 @@ class Hostile(unittest.TestCase):
                 open(path, "wb").write(whole)
 
 
+class Damage(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        with situ.create("a", folder.name) as store:
+            store.write("first", 1, 1)
+            for n in range(3_000):
+                store.write("n", n, n)
+        self.path = os.path.join(folder.name, "a.0000")
+
+    def flip(self, name, at, bit=0):
+        with open(os.path.join(self.path, name), "r+b") as file:
+            file.seek(at)
+            (byte,) = file.read(1)
+            file.seek(at)
+            file.write(bytes([byte ^ 1 << bit]))
+
+    def entries(self, stream):
+        return [e for e in situ.open(self.path)._files.entries if e["stream"] == stream]
+
+    def test_an_entry_is_passed_over_and_listed(self):
+        whole = range(3_000)
+        entries = self.entries(2)
+        self.assertEqual([e["count"] for e in entries], [1_024, 1_024, 952])
+        self.flip("index.situ", 4_096 + 64 * entries[1]["number"] + 20)
+        store = situ.open(self.path)
+        self.assertEqual(store.damage, [f"the checksum of the index entry {entries[1]['number']} is wrong"])
+        self.assertEqual([m.data for m in store.read("n")], [*whole[:1_024], *whole[2_048:]])
+        self.assertEqual(store.streams["n"].count, 1_976)
+        self.assertEqual([m.data for m in store.read("first")], [1])
+
+    def test_any_bit_of_the_index_leaves_the_rest_readable(self):
+        header = [at for at in range(12, 64)]
+        entries = range(4_096, 4_096 + 64 * len(situ.open(self.path)._files.entries))
+        for at in [*header, *entries[::7]]:
+            self.flip("index.situ", at, at % 8)
+            store = situ.open(self.path)
+            self.assertEqual(len(store.damage), 1)
+            got = sum(len(list(store.read(name))) for name in store.streams)
+            self.assertGreaterEqual(got, 3_001 - 1_024)
+            self.flip("index.situ", at, at % 8)
+        self.assertEqual(situ.open(self.path).damage, [])
+
+    def test_a_chunk_raises_or_is_passed_over(self):
+        damaged = self.entries(2)[0]
+        self.flip("data-000000.situ", damaged["offset"] + 200)
+        store = situ.open(self.path)
+        with self.assertRaises(Damaged):
+            list(store.read("n"))
+        self.assertEqual([m.data for m in store.read("n", skip_damage=True)], list(range(1_024, 3_000)))
+        self.assertEqual(len(store.damage), 1)
+        self.assertIn("checksum", store.damage[0])
+
+    def test_the_catalog_is_read_as_far_as_it_is_sound(self):
+        self.flip("data-000000.situ", self.entries(0)[1]["offset"] + 120)
+        store = situ.open(self.path)
+        self.assertEqual(len(store.damage), 1)
+        self.assertEqual(list(store.streams), ["stream 1", "stream 2"])
+        self.assertEqual(len(list(store.read("stream 2"))), 3_000)
+
+
+class Checksums(unittest.TestCase):
+    def test_all_ways_agree(self):
+        ways = [crc._plain_crc32c, crc.crc32c] + ([crc._numpy_crc32c(np)] if np else [])
+        dice = random.Random(4)
+        for length in (0, 1, 2, 9, 1_023, 1_024, 16_385, 150_001):
+            raw = dice.randbytes(length)
+            self.assertEqual(len({way(raw) for way in ways}), 1, length)
+        self.assertTrue(all(way(b"123456789") == 0xE3069283 for way in ways))
+
+
 class Stores(unittest.TestCase):
     def test_what_is_written_is_read(self):
         with tempfile.TemporaryDirectory() as root:
@@ -130,6 +205,48 @@ class Stores(unittest.TestCase):
             writer.close()
             self.assertEqual([m.data for m in messages], [2])
 
+    def test_following_ends_when_the_writer_was_killed(self):
+        program = """if 1:
+            import sys, situ
+            writer = situ.create("live", sys.argv[1])
+            writer.write("n", 1, 1)
+            writer.commit()
+            print("written", flush=True)
+            sys.stdin.read()
+        """
+        with tempfile.TemporaryDirectory() as root:
+            command = [sys.executable, "-c", program, root]
+            environment = {**os.environ, "PYTHONPATH": os.path.dirname(os.path.dirname(situ.__file__))}
+            with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as writer:
+                self.assertEqual(writer.stdout.readline(), b"written\n")
+                store = situ.open(os.path.join(root, "live"))
+                messages = store.read("n", follow=True)
+                self.assertEqual(next(messages).data, 1)
+                self.assertEqual(store.state, "live")
+                writer.kill()
+                writer.wait()
+                with self.assertWarns(situ.AbandonedWarning):
+                    self.assertEqual(list(messages), [])
+                self.assertEqual(store.state, "abandoned")
+
+    def test_metadata(self):
+        with tempfile.TemporaryDirectory() as root:
+            with situ.create("a", root) as store:
+                store.write("n", 1, 1)
+                term = base64.b64encode(terms.encode({"rate": 16_000})).decode()
+                store._record({"kind": "metadata", "id": 1, "type": "map", "term": term})
+            store = situ.open(os.path.join(root, "a"))
+            self.assertEqual(store.streams["n"].metadata, {"rate": 16_000})
+            self.assertGreater(store.created, 0)
+
+    def test_what_is_shown_is_short(self):
+        picture = situ.Image(100, 100, "gray8", 100, bytes(10_000))
+        shown = "Image(width=100, height=100, format='gray8', stride=100, data=<10000 bytes>)"
+        self.assertEqual(repr(picture), shown)
+        with tempfile.TemporaryDirectory() as root:
+            situ.create("a", root).close()
+            self.assertIn("'a' at ", repr(situ.open(os.path.join(root, "a"))))
+
     def test_datasets_keep_what_they_do_not_know(self):
         with tempfile.TemporaryDirectory() as root:
             situ.create("a", root).close()
@@ -144,6 +261,32 @@ class Stores(unittest.TestCase):
 
 @unittest.skipUnless(np is not None, "numpy is not there")
 class Arrays(unittest.TestCase):
+    def test_arrays_are_what_is_read_one_by_one(self):
+        streams = {
+            "ints": [0, -1, 63, -64, 1 << 40, (1 << 63) - 1, -(1 << 63)] * 400,
+            "floats": [n / 7 for n in range(2_500)],
+            "truths": [n % 3 == 0 for n in range(2_500)],
+            "both": [n if n % 2 else n / 2 for n in range(50)],
+            "unknown": [True, None, False],
+            "texts": ["a", "bc"],
+        }
+        with tempfile.TemporaryDirectory() as root:
+            with situ.create("numbers", root) as store:
+                for name, data in streams.items():
+                    for n, value in enumerate(data):
+                        store.write(name, n * 1_000_003 - 10**12, value)
+            store = situ.open(os.path.join(root, "numbers"))
+            for name, data in streams.items():
+                times, got = store.array(name)
+                self.assertEqual(times.tolist(), [n * 1_000_003 - 10**12 for n in range(len(data))])
+                self.assertEqual(got.tolist(), data)
+                for start, stop in ((None, times[1]), (times[1], None), (times[1] + 1, times[-1]), (5, 9)):
+                    one_by_one = [m.data for m in store.read(name, start, stop)]
+                    self.assertEqual(store.array(name, start, stop)[1].tolist(), one_by_one)
+            self.assertEqual(store.array("floats")[1].dtype, np.float64)
+            self.assertEqual(store.array("ints")[1].dtype, np.int64)
+            self.assertEqual(store.array("truths")[1].dtype, np.bool_)
+
     def test_numpys_numbers_are_numbers(self):
         with tempfile.TemporaryDirectory() as root:
             with situ.create("numbers", root) as store:

@@ -18,7 +18,7 @@ Times are integer nanoseconds since 1970, UTC, as everywhere in Situ.
 from .bytes import Damaged, Missing
 from .dataset import Dataset, Partition, Session
 from .network import publish, pull, push, subscribe
-from .reading import Message, Store, Stream, open
+from .reading import AbandonedWarning, Message, Store, Stream, open
 from .terms import Atom, Struct
 from .times import from_datetime, from_text, now, to_datetime, to_text
 from .values import AudioBuffer, DepthImage, EncodedImage, Image, PointCloud, Pose, Tensor, Undecoded
@@ -26,6 +26,7 @@ from .writing import Writer, create
 
 __version__ = "0.1.0"
 __all__ = [
+    "AbandonedWarning",
     "Atom",
     "AudioBuffer",
     "Damaged",

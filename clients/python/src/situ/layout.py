@@ -3,11 +3,12 @@
 A second reader of the format, written from that page alone. `situ.open` is what you want to read a store with.
 """
 
+import fcntl
 import json
 import os
 import struct
 
-from .bytes import MASK, UNPACK, Cursor, Damaged, check, signed
+from .bytes import MASK, UNPACK, Cursor, Damaged, check, crc32c, signed
 
 INDEX_HEADER, ENTRY = 4096, 64
 DATA, LARGE = 0, 1
@@ -25,12 +26,20 @@ _CHUNK_NAMES = (
 ).split()
 
 
+_MOST_DAMAGE = 10_000
+
+
 class Files:
-    """A store's files: its committed entries, and chunks by them. Nothing is kept open."""
+    """A store's files: its committed entries, and chunks by them. Nothing is kept open.
+
+    What is damaged is passed over, and listed as sentences in `damage`.
+    """
 
     def __init__(self, folder):
         self.folder = os.fspath(folder)
         self.entries = []
+        self.damage = []
+        self._known, self._sound, self._lasts = 0, True, {}
         self._begun = set()
         self.refresh()
 
@@ -39,29 +48,59 @@ class Files:
         with open(os.path.join(self.folder, "index.situ"), "rb") as file:
             header = file.read(INDEX_HEADER)
             if len(header) < INDEX_HEADER or header[:8] != b"SITUIDX1":
-                raise Damaged("index.situ is no index")
+                raise Damaged("index.situ is no index; `situ store repair` rebuilds a lost one from the data")
             version, crc = struct.unpack_from("<II", header, 8)
             if version > 2:
                 raise Damaged(f"version {version} is newer than this reader")
-            check(crc, header[16:64], "the index header")
+            if self._sound and crc32c(header[16:64]) != crc:
+                self._sound = False
+                self.note("the checksum of the index header is wrong")
             self.id = header[16:32]
             (self.created,) = struct.unpack_from("<q", header, 32)
             self.committed, self.synced = struct.unpack_from("<QQ", header, 64)
             (self.state,) = struct.unpack_from("<I", header, 80)
-            known = len(self.entries)
-            if INDEX_HEADER + ENTRY * self.committed > os.fstat(file.fileno()).st_size:
-                raise Damaged(f"index.situ ends before entry {self.committed}")
+            room = (os.fstat(file.fileno()).st_size - INDEX_HEADER) // ENTRY
+            if self.committed > room:
+                self.note(f"index.situ ends before entry {self.committed}")
+            before, known = len(self.entries), self._known
             file.seek(INDEX_HEADER + ENTRY * known)
-            rows = file.read(ENTRY * max(self.committed - known, 0))
-        for at in range(0, len(rows), ENTRY):
-            self.entries.append(self._entry(rows[at : at + ENTRY], len(self.entries)))
-        return len(self.entries) > known
+            rows = file.read(ENTRY * max(min(self.committed, room) - known, 0))
+        for at in range(0, len(rows) // ENTRY * ENTRY, ENTRY):
+            self._take_in(rows[at : at + ENTRY], self._known)
+            self._known += 1
+        return len(self.entries) > before
 
-    @staticmethod
-    def _entry(raw, number):
+    def _take_in(self, raw, number):
         fields = _ENTRY.unpack(raw)
-        check(fields[0], raw[4:], f"the index entry {number}")
-        return dict(zip(_ENTRY_NAMES, fields[1:]), number=number)
+        if crc32c(raw[4:]) != fields[0]:
+            return self.note(f"the checksum of the index entry {number} is wrong")
+        entry = dict(zip(_ENTRY_NAMES, fields[1:]), number=number)
+        directory = (entry["stream"], entry["level"])
+        if entry["level"] == HOLE:
+            return None
+        if directory in self._lasts and entry["first"] <= self._lasts[directory]:
+            return self.note(f"the index entry {number} goes back in time")
+        self._lasts[directory] = entry["last"]
+        self.entries.append(entry)
+
+    def note(self, sentence):
+        """Lists damage, each piece of it once."""
+        if len(self.damage) < _MOST_DAMAGE and sentence not in self.damage[-100:]:
+            self.damage.append(sentence)
+
+    def abandoned(self):
+        """Whether the writer ended without closing the store: nobody holds its lock."""
+        if self.state == 1:
+            return False
+        try:
+            with open(os.path.join(self.folder, "lock"), "rb") as lock:
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                return True
+        except FileNotFoundError:
+            return True
+        except OSError:
+            # Somebody holds it, or nobody can say.
+            return False
 
     def _path(self, lane, number):
         path = os.path.join(self.folder, f"{LANES[lane]}-{number:06}.situ")
@@ -72,7 +111,8 @@ class Files:
                 raise Damaged(f"{path} is no extent")
             _version, crc = struct.unpack_from("<II", head, 8)
             check(crc, head[16:64], f"the header of {path}")
-            if (head[16:32], *struct.unpack_from("<II", head, 32)) != (self.id, lane, number):
+            own = not self._sound or head[16:32] == self.id
+            if not own or struct.unpack_from("<II", head, 32) != (lane, number):
                 raise Damaged(f"{path} belongs elsewhere")
             self._begun.add((lane, number))
         return path
@@ -138,7 +178,7 @@ class Files:
         """The store's record, and by number the records of its streams."""
         streams, store = {}, {}
         for entry in self.of(0, 0):
-            for message in self.messages(entry):
+            for message in self._sound_messages(entry):
                 try:
                     record = json.loads(message["bytes"])
                     kind = record["kind"]
@@ -154,6 +194,13 @@ class Files:
                     stream[kind] = record
         return store, {id: stream for id, stream in streams.items() if "stream" in stream}
 
+    def _sound_messages(self, entry):
+        # A damaged part of the catalog: what follows it is still good.
+        try:
+            yield from self.messages(entry)
+        except Damaged as error:
+            self.note(f"the catalog, entry {entry['number']} of the index: {error}")
+
     def of(self, stream, level):
         """The entries of a stream and level, in order of time."""
-        return [e for e in self.entries if e["stream"] == stream and e["level"] == level and e["level"] != HOLE]
+        return [e for e in self.entries if e["stream"] == stream and e["level"] == level]

@@ -38,8 +38,21 @@ def _expect(condition, what):
         raise Damaged(what)
 
 
-@dataclasses.dataclass
-class Image:
+class _Value:
+    """Is shown by its fields, of which long bytes by their number: a picture has millions."""
+
+    def __repr__(self):
+        shown = (f"{field.name}={_shown(getattr(self, field.name))}" for field in dataclasses.fields(self))
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def _shown(value):
+    long = isinstance(value, (bytes, bytearray, memoryview)) and len(value) > 16
+    return f"<{len(value)} bytes>" if long else repr(value)
+
+
+@dataclasses.dataclass(repr=False)
+class Image(_Value):
     """A picture: `data` are `height` rows of `stride` bytes."""
 
     width: int
@@ -98,8 +111,8 @@ class Image:
         return cls(width, height, name, stride, data)
 
 
-@dataclasses.dataclass
-class DepthImage:
+@dataclasses.dataclass(repr=False)
+class DepthImage(_Value):
     """Depths of 16 bits: `scale` metres each, along the optical axis (`plane`) or the ray (`point`)."""
 
     width: int
@@ -143,8 +156,8 @@ class DepthImage:
         return cls(width, height, stride, scale, "point" if semantics else "plane", data)
 
 
-@dataclasses.dataclass
-class EncodedImage:
+@dataclasses.dataclass(repr=False)
+class EncodedImage(_Value):
     """A JPEG or PNG as it is."""
 
     format: str
@@ -167,8 +180,8 @@ class EncodedImage:
         return cls("jpeg" if code == 1 else "png", width, height, raw[cls.HEAD.size :])
 
 
-@dataclasses.dataclass
-class AudioBuffer:
+@dataclasses.dataclass(repr=False)
+class AudioBuffer(_Value):
     """Sound: frames of all channels' samples, little-endian. The time of its message is that of its end."""
 
     rate: int
@@ -225,8 +238,8 @@ class AudioBuffer:
         return cls(rate, channels, name, data)
 
 
-@dataclasses.dataclass
-class Tensor:
+@dataclasses.dataclass(repr=False)
+class Tensor(_Value):
     """Numbers with a shape. A numpy array is written as one."""
 
     dtype: str
@@ -270,8 +283,8 @@ class Tensor:
         return cls(dtype, shape, data)
 
 
-@dataclasses.dataclass
-class PointCloud:
+@dataclasses.dataclass(repr=False)
+class PointCloud(_Value):
     """Points of three float32 (metres), and their colours and values (float32) or None."""
 
     points: bytes
@@ -317,8 +330,8 @@ class PointCloud:
         return cls(raw[8:tones], raw[tones:numbers] if raw[1] & 1 else None, raw[numbers:] if raw[1] & 2 else None)
 
 
-@dataclasses.dataclass
-class Pose:
+@dataclasses.dataclass(repr=False)
+class Pose(_Value):
     """A position (metres) and a rotation, a quaternion (w, i, j, k)."""
 
     position: tuple
@@ -338,8 +351,8 @@ class Pose:
         return cls(numbers[:3], numbers[3:])
 
 
-@dataclasses.dataclass
-class Undecoded:
+@dataclasses.dataclass(repr=False)
+class Undecoded(_Value):
     """Data of a codec that this package does not know, as bytes."""
 
     codec: str
