@@ -8,11 +8,15 @@ defmodule Situ.Media.Capture do
   that a slow operator does not keep it from dropping. When a device is lost (unplugged, stream ended) it is tried
   again every second, if the options say so.
 
+  A sender whose clock jumps (it was restarted, or switched to another file) is set to the pipeline's clock again: the
+  capture logs a warning and counts the jump, and its times go on with the time of arrival. Each stream of a sender has
+  its own stall watch: pictures that stop while the sound goes on are reported.
+
   `use Situ.Media.Capture`, after `use Situ.Component`, gives a component whose state is a capture everything but its
   `init/1`.
   """
   alias Situ.{AudioBuffer, AudioFormat, Component.Context, Sound}
-  alias Situ.Media.{Decoder, Device}
+  alias Situ.Media.{Capture.Clock, Capture.StallWatch, Decoder, Device}
   alias Situ.Media.FFmpeg.Reader
   require Logger
 
@@ -20,8 +24,6 @@ defmodule Situ.Media.Capture do
   @credits 4
   # A simulated device begins so long after the pipeline: by then ffmpeg is up, and its frames come on time.
   @lead 500_000_000
-  # How long the delay of a network stream is measured before its first frame is let through.
-  @settle 300_000_000
   # Clocks this near are one clock, read twice.
   @same_clock 1_000_000
 
@@ -32,15 +34,17 @@ defmodule Situ.Media.Capture do
     :outputs,
     :opts,
     :clock,
+    :times,
     :reader,
     :streams,
-    :offset,
+    :watch,
     :lost,
     queue: :queue.new(),
     size: 0,
     dropped: 0,
     last: %{},
-    settled: nil,
+    jumps: 0,
+    silent: [],
     ended: false
   ]
 
@@ -87,17 +91,25 @@ defmodule Situ.Media.Capture do
     # Before anything takes time: afterwards `context.now` is not now.
     ahead = context.now - Situ.Time.now()
 
-    with {:ok, %{args: args, clock: clock}} <-
+    with {:ok, %{args: args, clock: clock} = source} <-
            capture.driver.capture(capture.address, kind, capture.opts),
          {:ok, reader} <- Reader.start_link(reader_options(capture, args, clock)) do
       Reader.ask(reader, @credits)
-      capture = %{capture | reader: reader, clock: clock, streams: nil}
+      capture = set_reconnect(%{capture | reader: reader, clock: clock, streams: nil}, source)
       # A capture that reconnects for ever has no end; any other announces its end.
       endless = if capture.opts[:reconnect], do: [{:complete, :infinity}], else: []
-      {endless, %{capture | offset: offset(clock, context, ahead, capture.last), settled: nil}}
+      {endless, %{capture | times: Clock.new(offset(clock, context, ahead, capture.last))}}
     else
       {:error, error} -> raise error
     end
+  end
+
+  # Unless told, everything is tried again but a source that is meant to end.
+  defp set_reconnect(capture, source) do
+    opts =
+      Keyword.update(capture.opts, :reconnect, nil, &if(&1 == nil, do: !source[:ends?], else: &1))
+
+    %{capture | opts: opts}
   end
 
   @doc "A message to the component: frames and ends of the reader; the reconnect timer."
@@ -109,6 +121,10 @@ defmodule Situ.Media.Capture do
     Reader.ask(reader, 1)
     {[], capture}
   end
+
+  def info(%__MODULE__{reader: reader} = capture, {:timer, {:watch, reader}}, context)
+      when is_pid(reader),
+      do: watch(capture, context)
 
   def info(%__MODULE__{reader: nil} = capture, {:timer, :reconnect}, context) do
     {_, capture} = start(capture, context)
@@ -141,7 +157,16 @@ defmodule Situ.Media.Capture do
   @spec describe(t()) :: String.t()
   def describe(%__MODULE__{} = capture) do
     state = if capture.reader, do: "running", else: "not connected"
-    "#{capture.address}: #{state}, #{capture.dropped} dropped"
+
+    jumps =
+      case capture.jumps do
+        0 -> ""
+        1 -> ", its clock jumped once"
+        n -> ", its clock jumped #{n} times"
+      end
+
+    silent = if capture.silent != [], do: ", no #{Enum.join(capture.silent, " or ")}", else: ""
+    "#{capture.address}: #{state}, #{capture.dropped} dropped#{jumps}#{silent}"
   end
 
   defp reader_options(%{opts: opts, outputs: outputs} = capture, args, clock) do
@@ -151,7 +176,7 @@ defmodule Situ.Media.Capture do
       args:
         ["-copyts" | zero] ++
           ~w(-thread_type slice) ++
-          args ++ map(outputs) ++ video(outputs, clock, opts) ++ audio(outputs, opts),
+          args ++ map(outputs) ++ video(outputs, clock, opts) ++ audio(outputs, clock, opts),
       name: capture.address,
       stall_timeout: opts[:stall_timeout] |> div(1_000_000)
     ]
@@ -164,13 +189,10 @@ defmodule Situ.Media.Capture do
   end
 
   defp video(%{video: _}, clock, opts) do
-    # A camera is set to a rate; of other streams frames are left out.
-    rate = if opts[:rate] && clock != :wall, do: ["fps=#{opts[:rate]}"], else: []
-
     scale =
       if opts[:size], do: ["scale=#{elem(opts[:size], 0)}:#{elem(opts[:size], 1)}"], else: []
 
-    filters = rate ++ scale
+    filters = mark(clock, "setpts=") ++ rate(clock, opts[:rate]) ++ scale
 
     if(filters == [], do: [], else: ["-vf", Enum.join(filters, ",")]) ++
       Decoder.raw_video(opts[:format], nil)
@@ -178,14 +200,28 @@ defmodule Situ.Media.Capture do
 
   defp video(_outputs, _clock, _opts), do: []
 
-  defp audio(%{audio: _}, opts) do
+  defp audio(%{audio: _}, clock, opts) do
+    marks = mark(clock, "asetpts=")
+
     case opts[:audio_format] do
-      nil -> ~w(-c:a pcm_s16le)
-      format -> Decoder.raw_audio(format, opts[:audio_buffer])
+      nil -> ~w(-c:a pcm_s16le) ++ Enum.flat_map(marks, &["-af", &1])
+      format -> Decoder.raw_audio(format, opts[:audio_buffer], marks)
     end
   end
 
-  defp audio(_outputs, _opts), do: []
+  defp audio(_outputs, _clock, _opts), do: []
+
+  defp mark(:arrival, filter), do: [filter <> Clock.mark_jumps()]
+  defp mark(_clock, _filter), do: []
+
+  # A camera is set to a rate; of other streams frames are left out. The filter `fps` would fill each jump of the
+  # sender's clock with copies of the last picture.
+  defp rate(_clock, nil), do: []
+  defp rate(:wall, _rate), do: []
+  defp rate(:start, rate), do: ["fps=#{rate}"]
+
+  defp rate(:arrival, rate),
+    do: ["select='isnan(prev_t)+gt(floor(t*#{rate}),floor(prev_t*#{rate}))'"]
 
   # The offset to add to the capture's times; `nil` until the first frame gives it.
   defp offset(:start, context, _ahead, last) when last == %{}, do: context.start_time + @lead
@@ -193,9 +229,12 @@ defmodule Situ.Media.Capture do
   defp offset(:arrival, _context, _ahead, _last), do: nil
   defp offset(:wall, _context, ahead, _last), do: if(abs(ahead) < @same_clock, do: 0, else: ahead)
 
-  defp result({:streams, streams}, capture, _context) do
+  defp result({:streams, streams}, capture, context) do
     if capture.lost, do: Logger.info("#{capture.address} is back")
-    {[], %{capture | streams: streams, lost: nil}}
+    kinds = for {_, %{class: kind}} <- streams, is_map_key(capture.outputs, kind), do: kind
+    watch = StallWatch.new(kinds, capture.opts[:stall_timeout], context.now)
+    capture = %{capture | streams: streams, lost: nil, watch: watch, silent: []}
+    {watch_again(capture, context), capture}
   end
 
   defp result({:frame, frame}, capture, context) do
@@ -204,13 +243,19 @@ defmodule Situ.Media.Capture do
     {kind, time, data} =
       Decoder.convert(frame, stream, capture.opts[:format], audio_format(stream, capture.opts))
 
-    capture = settle(capture, time, context)
+    case Clock.place(capture.times, kind, time, context.now) do
+      {:ok, time, times} ->
+        capture = note(%{capture | times: times}, kind, time, context)
+        accept(capture, kind, time, amplify(data, capture.opts[:gain]), context)
 
-    if capture.offset do
-      accept(capture, kind, time + capture.offset, amplify(data, capture.opts[:gain]), context)
-    else
-      Reader.ask(capture.reader, 1)
-      {[], capture}
+      {:wait, times} ->
+        Reader.ask(capture.reader, 1)
+        {[], note(%{capture | times: times}, kind, nil, context)}
+
+      {:jump, by, times} ->
+        Reader.ask(capture.reader, 1)
+        capture = note(%{capture | times: times}, kind, nil, context)
+        {[], report_jump(capture, kind, by)}
     end
   end
 
@@ -250,17 +295,45 @@ defmodule Situ.Media.Capture do
     {[{:complete, Enum.max(times, fn -> 0 end)}], %{capture | ended: false}}
   end
 
-  # A sender's backlog comes in a burst. The smallest delay seen in the first moments is the one to go by; the
-  # frames of those moments are left out.
-  defp settle(%{offset: nil} = capture, time, %{now: now}) do
-    case capture.settled do
-      nil -> %{capture | settled: {now + @settle, now - time}}
-      {till, delay} when now < till -> %{capture | settled: {till, min(delay, now - time)}}
-      {_, delay} -> %{capture | offset: min(delay, now - time), settled: nil}
+  defp note(capture, kind, time, %{now: now}),
+    do: %{capture | watch: StallWatch.note(capture.watch, kind, time, now)}
+
+  defp report_jump(capture, kind, by) do
+    Logger.warning(
+      "#{capture.address}: the sender's clock jumped by #{Situ.Time.format_duration(by)} (#{kind}), " <>
+        "as when it restarts; its times go on with the time of arrival"
+    )
+
+    %{capture | jumps: capture.jumps + 1}
+  end
+
+  # A stream that stops while the other one flows is reported: opening the device again would stop the other one, too.
+  # Frames that keep coming with one and the same time are another matter: ffmpeg has lost the sender's clock.
+  defp watch(%{opts: opts} = capture, context) do
+    %{silent: silent, stuck: stuck} = StallWatch.check(capture.watch, context.now)
+
+    if stuck != [] and opts[:reconnect] do
+      lost(capture, "the times of its #{Enum.join(stuck, " and ")} do not move", context)
+    else
+      report_silence(silent -- capture.silent, capture)
+      {watch_again(capture, context), %{capture | silent: silent}}
     end
   end
 
-  defp settle(capture, _time, _context), do: capture
+  defp report_silence([], _capture), do: :ok
+
+  defp report_silence(kinds, %{opts: opts} = capture) do
+    timeout = Situ.Time.format_duration(opts[:stall_timeout])
+    Logger.warning("#{capture.address}: no #{Enum.join(kinds, " and no ")} for #{timeout}")
+  end
+
+  # Only a sender has several streams that can stop one by one.
+  defp watch_again(%{clock: :arrival, opts: opts} = capture, context) do
+    period = min(div(opts[:stall_timeout], 4), 1_000_000_000)
+    [{:timer, {:watch, capture.reader}, context.now + max(period, 1_000_000)}]
+  end
+
+  defp watch_again(_capture, _context), do: []
 
   # A simulated device can be early: the frame waits for its time, and no further one is asked for.
   defp accept(%{clock: :start} = capture, kind, time, data, %{now: now}) when time > now do

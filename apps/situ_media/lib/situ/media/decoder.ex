@@ -180,12 +180,14 @@ defmodule Situ.Media.Decoder do
   end
 
   @doc false
-  @spec raw_audio(AudioFormat.t(), pos_integer()) :: [String.t()]
-  def raw_audio(%AudioFormat{} = format, buffer) do
+  # `filters` see the sound as it was decoded.
+  @spec raw_audio(AudioFormat.t(), pos_integer(), [String.t()]) :: [String.t()]
+  def raw_audio(%AudioFormat{} = format, buffer, filters \\ []) do
     frames = max(AudioFormat.ns_to_frames(format, buffer), 1)
+    own = ["aresample=#{format.rate}", "atrim=start=0", "asetnsamples=n=#{frames}:p=0"]
 
     ~w(-c:a #{Pixels.codec(format.sample)} -ar #{format.rate} -ac #{format.channels}) ++
-      ~w(-af aresample=#{format.rate},atrim=start=0,asetnsamples=n=#{frames}:p=0)
+      ["-af", Enum.join(filters ++ own, ",")]
   end
 
   defp check_span(opts, info) do

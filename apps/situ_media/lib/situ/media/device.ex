@@ -45,8 +45,14 @@ defmodule Situ.Media.Device do
     * `:wall`: nanoseconds since the epoch, stamped when captured
     * `:arrival`: a clock of the sender's own, set to the pipeline's clock when the first frame arrives
     * `:start`: the pipeline's start is 0
+
+  `ends?` says that the source is meant to end, so that its end is not a loss.
   """
-  @type capture :: %{args: [String.t()], clock: :wall | :arrival | :start}
+  @type capture :: %{
+          required(:args) => [String.t()],
+          required(:clock) => :wall | :arrival | :start,
+          optional(:ends?) => boolean()
+        }
   @type driver :: module()
   @type address :: String.t()
   @type device :: String.t() | {driver(), address()}

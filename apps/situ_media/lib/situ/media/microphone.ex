@@ -26,9 +26,10 @@ defmodule Situ.Media.Microphone do
       doc: "Pieces that may wait for a slow pipeline; then the oldest is dropped."
     ],
     reconnect: [
-      type: :boolean,
-      default: true,
-      doc: "When the device is lost while it runs, try again every second."
+      type: {:optional, :boolean},
+      default: nil,
+      doc:
+        "When the device is lost while it runs, try again every second; `nil`: yes, unless it is to end (`?once`)."
     ],
     stall_timeout: [
       type: :pos_integer,

@@ -4,7 +4,7 @@ defmodule Situ.Media.Device.Simulated do
   tried without hardware.
 
   Media time 0 is the pipeline's start, so a simulated camera and a simulated microphone of the same file are in step.
-  `?once` at the end of the address plays it once: `simulated:talk1.mp4?once`.
+  `?once` at the end of the address plays it once, then the source completes: `simulated:talk1.mp4?once`.
   """
   @behaviour Situ.Media.Device
   alias Situ.Media.{Device, FFmpeg}
@@ -20,10 +20,11 @@ defmodule Situ.Media.Device.Simulated do
         _ -> {address, ~w(-stream_loop -1)}
       end
 
-    if File.regular?(path),
-      do:
-        {:ok,
-         %{args: ["-re" | loop] ++ (opts[:args] || []) ++ FFmpeg.local_file(path), clock: :start}},
-      else: Device.driver_error(path, :no_file, "there is no such file to simulate a device with")
+    if File.regular?(path) do
+      args = ["-re" | loop] ++ (opts[:args] || []) ++ FFmpeg.local_file(path)
+      {:ok, %{args: args, clock: :start, ends?: loop == []}}
+    else
+      Device.driver_error(path, :no_file, "there is no such file to simulate a device with")
+    end
   end
 end

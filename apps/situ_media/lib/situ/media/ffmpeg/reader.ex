@@ -210,8 +210,10 @@ defmodule Situ.Media.FFmpeg.Reader do
 
   defp read(state), do: {state.finished, state}
 
+  # Only after the end of its output is ffmpeg about to exit. One that has stalled, or sends what nobody can read,
+  # would never do so by itself.
   defp finish(reason, state) do
-    {status, state} = exit_status(state)
+    {status, state} = if reason == :eof, do: exit_status(state), else: {:none, close(state)}
     :gen_tcp.close(state.socket)
     result = verdict(reason, status, state)
     {result, %{state | finished: result}}
@@ -245,7 +247,6 @@ defmodule Situ.Media.FFmpeg.Reader do
     Log.to_error(state.log, :unreadable_media, "cannot read #{state.name}", meta: [reason: reason])
   end
 
-  # The socket is at its end, so ffmpeg is about to exit; a stalled one is killed with the port.
   defp exit_status(%{status: status} = state) when status != nil,
     do: {status, %{state | log: Log.drain(state.log, state.port)}}
 

@@ -1,0 +1,44 @@
+defmodule Situ.Media.Capture.StallWatch do
+  @moduledoc false
+  # Watches each stream of a sender by itself: whether its frames still arrive, and whether their times still move. The
+  # reader below sees only a sender that has fallen silent as a whole.
+
+  defstruct [:timeout, streams: %{}]
+
+  @typep seen :: %{arrived: Situ.Time.t(), moved: Situ.Time.t(), time: Situ.Time.t() | nil}
+  @type t :: %__MODULE__{timeout: pos_integer(), streams: %{atom() => seen()}}
+
+  # Times that go on by less than this part of the timeout do not move: ffmpeg's muxer makes them so, a tick a frame.
+  @part 10
+
+  @spec new([atom()], pos_integer(), Situ.Time.t()) :: t()
+  def new(kinds, timeout, now) do
+    streams = Map.new(kinds, &{&1, %{arrived: now, moved: now, time: nil}})
+    %__MODULE__{timeout: timeout, streams: streams}
+  end
+
+  @doc "Notes that a frame arrived `now`; `time` is its originating time, or `nil` if it has none yet."
+  @spec note(t(), atom(), Situ.Time.t() | nil, Situ.Time.t()) :: t()
+  def note(%__MODULE__{} = watch, kind, time, now) do
+    seen = %{Map.fetch!(watch.streams, kind) | arrived: now}
+
+    moved =
+      cond do
+        time == nil -> %{seen | moved: now}
+        seen.time && time - seen.time < div(watch.timeout, @part) -> seen
+        true -> %{seen | time: time, moved: now}
+      end
+
+    %{watch | streams: Map.put(watch.streams, kind, moved)}
+  end
+
+  @doc "Returns the streams of which nothing has arrived for the timeout, and those whose times have not moved."
+  @spec check(t(), Situ.Time.t()) :: %{silent: [atom()], stuck: [atom()]}
+  def check(%__MODULE__{timeout: timeout} = watch, now) do
+    {silent, heard} =
+      Enum.split_with(watch.streams, fn {_, seen} -> now - seen.arrived > timeout end)
+
+    stuck = for {kind, seen} <- heard, now - seen.moved > timeout, do: kind
+    %{silent: Keyword.keys(silent), stuck: stuck}
+  end
+end
