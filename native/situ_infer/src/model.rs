@@ -31,7 +31,7 @@ pub enum Provider {
 }
 
 /// How a network is run.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Options {
     /// Threads inside one run.
     pub threads: usize,
@@ -39,6 +39,8 @@ pub struct Options {
     pub sessions: usize,
     /// The device that runs it.
     pub provider: Provider,
+    /// The folder of the files with weights that the model file names; without it, the working directory.
+    pub folder: Option<String>,
 }
 
 /// Every session is in use: come back on a thread that may wait.
@@ -69,7 +71,7 @@ struct Pool {
 impl Model {
     /// Builds a network from a model file's bytes.
     pub fn load(bytes: &[u8], options: Options) -> Result<Self, Failure> {
-        let session = build(bytes, options)?;
+        let session = build(bytes, &options)?;
         let inputs = session.inputs().iter().map(port).collect();
         let outputs = session.outputs().iter().map(port).collect();
         let left = options.sessions.saturating_sub(1);
@@ -126,14 +128,14 @@ impl Model {
     // Building takes a while, so it happens without the lock.
     fn another(&self, mut pool: MutexGuard<'_, Pool>) -> Result<Session, Failure> {
         pool.left -= 1;
-        let options = pool.options;
+        let options = pool.options.clone();
         let bytes = if pool.left == 0 {
             std::mem::take(&mut pool.bytes)
         } else {
             pool.bytes.clone()
         };
         drop(pool);
-        build(&bytes, options).inspect_err(|_| {
+        build(&bytes, &options).inspect_err(|_| {
             let mut pool = self.pool();
             pool.left += 1;
             pool.bytes = bytes;
@@ -152,7 +154,10 @@ impl Model {
     }
 }
 
-fn build(bytes: &[u8], options: Options) -> Result<Session, Failure> {
+// Weights above 2 GB do not fit into a model file and are files next to it.
+const FOLDER_KEY: &str = "session.model_external_initializers_file_folder_path";
+
+fn build(bytes: &[u8], options: &Options) -> Result<Session, Failure> {
     let environment = runtime::environment()?;
     let mut builder = configure(Session::builder(&environment).map_err(no_model)?, options)?;
     builder.commit_from_memory(bytes).map_err(no_model)
@@ -162,14 +167,19 @@ fn no_model(error: ort::Error) -> Failure {
     Failure::new(Kind::Model, error.to_string())
 }
 
-fn configure(builder: SessionBuilder, options: Options) -> Result<SessionBuilder, Failure> {
+fn configure(builder: SessionBuilder, options: &Options) -> Result<SessionBuilder, Failure> {
     let failed = |e: ort::Error<SessionBuilder>| Failure::new(Kind::Model, e.to_string());
     let builder = builder
         .with_intra_threads(options.threads)
         .map_err(failed)?;
     let builder = builder.with_inter_threads(1).map_err(failed)?;
     let builder = builder.with_deterministic_compute(true).map_err(failed)?;
-    let builder = builder.with_intra_op_spinning(false).map_err(failed)?;
+    let mut builder = builder.with_intra_op_spinning(false).map_err(failed)?;
+    if let Some(folder) = &options.folder {
+        builder = builder
+            .with_config_entry(FOLDER_KEY, folder)
+            .map_err(failed)?;
+    }
     match options.provider {
         Provider::Cpu => Ok(builder),
         Provider::Cuda { device } => {

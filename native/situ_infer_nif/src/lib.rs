@@ -51,6 +51,7 @@ fn load_model<'a>(
     threads: usize,
     sessions: usize,
     device: i32,
+    folder: String,
 ) -> Term<'a> {
     let provider = if device < 0 {
         Provider::Cpu
@@ -61,6 +62,7 @@ fn load_model<'a>(
         threads,
         sessions,
         provider,
+        folder: Some(folder),
     };
     match Model::load(bytes.as_slice(), options) {
         Ok(model) => {

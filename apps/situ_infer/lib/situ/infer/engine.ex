@@ -14,8 +14,8 @@ defmodule Situ.Infer.Engine do
   @type loaded :: %{handle: handle(), inputs: [port_spec()], outputs: [port_spec()]}
 
   @doc """
-  Loads a model from its file's bytes. `opts` holds `:threads`, `:sessions` and `:provider` (`:cpu` or `{:cuda,
-  device}`).
+  Loads a model from its file's bytes. `opts` holds `:threads`, `:sessions`, `:provider` (`:cpu` or `{:cuda, device}`)
+  and `:folder`: the folder of the file, in which the files with external data are that it names.
   """
   @callback load(bytes :: binary(), opts :: keyword()) ::
               {:ok, loaded()} | {:error, Situ.Error.t()}

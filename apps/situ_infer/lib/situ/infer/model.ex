@@ -27,7 +27,12 @@ defmodule Situ.Infer.Model do
       doc:
         "Where it runs; `:auto` measures while warming up: under 0.3 ms inline, else on a dirty scheduler."
     ],
-    warm_up: [type: :non_neg_integer, default: 3, doc: "Runs before the first real one."],
+    warm_up: [
+      type: :non_neg_integer,
+      default: 3,
+      doc:
+        "Runs before the first real one. Free sizes are 1 in them: a model that does not accept that is not warmed up."
+    ],
     example: [
       type: :map,
       default: %{},
@@ -44,8 +49,17 @@ defmodule Situ.Infer.Model do
   @moduledoc """
   A neural network loaded from an ONNX file: named tensors in, named tensors out.
 
-      {:ok, model} = Situ.Infer.Model.load("silero_vad.onnx", inputs: %{"input" => {:f32, {nil, nil}}})
-      {:ok, %{"output" => p}} = Situ.Infer.Model.run(model, %{"input" => x, "state" => s, "sr" => rate})
+      iex> alias Situ.{Infer.Model, Tensor}
+      iex> path = Model.path("silero_vad.onnx")
+      iex> {:ok, model} = Model.load(path, inputs: %{"input" => {:f32, {nil, nil}}})
+      iex> inputs = %{
+      ...>   "input" => Tensor.zeros(:f32, {1, 576}),
+      ...>   "state" => Tensor.zeros(:f32, {2, 1, 128}),
+      ...>   "sr" => Tensor.from_list([16_000], :s64, {})
+      ...> }
+      iex> {:ok, %{"output" => probability}} = Model.run(model, inputs)
+      iex> probability.shape
+      {1, 1}
 
   A model is loaded once and may be used by any process, by several at once; `shared/2` gives components that name the
   same file and options the same copy, which is given back when the last of them ends.
@@ -53,6 +67,8 @@ defmodule Situ.Infer.Model do
   The model's ports are checked **at load**: `:inputs` and `:outputs` name them with type and shape (`nil` for any
   size, and a size the file leaves free matches anything), so a wrong file stops a pipeline before its first message,
   with both shapes in the error.
+
+  Weights may be in files of their own next to the model file (ONNX's external data, usual above 2 GB).
 
   ## Options
 
@@ -93,13 +109,17 @@ defmodule Situ.Infer.Model do
     with {:ok, bytes} <- read(path), do: from_bytes(bytes, path, opts)
   end
 
-  @doc "As `load/2`, from the bytes of an ONNX file; `path` is what errors and statistics call it."
+  @doc """
+  As `load/2`, from the bytes of an ONNX file; `path` is what errors and statistics call it, and external data is looked
+  for in its folder.
+  """
   @spec from_bytes(binary(), Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def from_bytes(bytes, path, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          opts = Keyword.update!(opts, :sessions, &(&1 || System.schedulers_online())),
          started = System.monotonic_time(:nanosecond),
-         {:ok, loaded} <- with_path(opts[:engine].load(bytes, opts), path),
+         settings = [{:folder, path |> Path.expand() |> Path.dirname()} | opts],
+         {:ok, loaded} <- with_path(opts[:engine].load(bytes, settings), path),
          model = build(path, opts, loaded),
          :ok <- Ports.numbers(model.inputs, path),
          :ok <- Ports.check(model.inputs, opts[:inputs], "input", path),
@@ -218,18 +238,32 @@ defmodule Situ.Infer.Model do
         {name, Map.get_lazy(opts[:example], name, fn -> zeros(type, shape, opts, name) end)}
       end)
 
-    times =
-      Enum.reduce_while(1..opts[:warm_up]//1, {:ok, []}, fn _, {:ok, times} ->
-        case model.engine.run(model.handle, example, :dirty) do
-          {:ok, _, ns} -> {:cont, {:ok, [ns | times]}}
-          {:error, error} -> {:halt, {:error, not_run(error, model, example)}}
-        end
-      end)
+    with {:ok, times} <- time_runs(model, example, opts[:warm_up], []) do
+      {:ok, %{model | where: where(opts[:schedule], times)}}
+    else
+      # The free sizes are a guess: what fails may be the guess and not the model.
+      {:error, %Error{code: :model_failed} = error} ->
+        if guessed?(model, opts), do: {:ok, model}, else: {:error, not_run(error, model, example)}
 
-    with {:ok, times} <- times, do: {:ok, %{model | where: where(opts[:schedule], times)}}
+      {:error, error} ->
+        {:error, error}
+    end
   end
 
-  defp not_run(%Error{code: :model_failed} = error, model, example) do
+  defp time_runs(_model, _example, 0, times), do: {:ok, times}
+
+  defp time_runs(model, example, n, times) do
+    with {:ok, _, ns} <- model.engine.run(model.handle, example, :dirty),
+         do: time_runs(model, example, n - 1, [ns | times])
+  end
+
+  defp guessed?(model, opts) do
+    Enum.any?(model.inputs, fn {name, {_, shape}} ->
+      not is_map_key(opts[:example], name) and -1 in sizes(shape, opts, name)
+    end)
+  end
+
+  defp not_run(error, model, example) do
     given =
       Enum.map_join(example, ", ", fn {name, t} -> "#{name}: #{Ports.show({t.type, t.shape})}" end)
 
@@ -242,25 +276,23 @@ defmodule Situ.Infer.Model do
     )
   end
 
-  defp not_run(error, _model, _example), do: error
-
-  # The caller's shape of a port is more exact than a free dimension in the file.
   defp zeros(type, shape, opts, name) do
-    shape =
-      case opts[:inputs] do
-        %{^name => {_, wanted}} ->
-          Enum.zip_with(Tuple.to_list(shape), Tuple.to_list(wanted), &pick/2)
-
-        _ ->
-          Enum.map(Tuple.to_list(shape), &pick(&1, nil))
-      end
-
-    Tensor.zeros(type, List.to_tuple(shape))
+    sizes = for size <- sizes(shape, opts, name), do: if(size == -1, do: 1, else: size)
+    Tensor.zeros(type, List.to_tuple(sizes))
   end
 
-  defp pick(have, _wanted) when have > 0, do: have
-  defp pick(_have, nil), do: 1
-  defp pick(_have, wanted), do: wanted
+  # The caller's shape of a port is more exact than a free dimension in the file.
+  defp sizes(shape, opts, name) do
+    case opts[:inputs] do
+      %{^name => {_, wanted}} ->
+        Enum.zip_with(Tuple.to_list(shape), Tuple.to_list(wanted), &pick/2)
+
+      _ ->
+        Tuple.to_list(shape)
+    end
+  end
+
+  defp pick(have, wanted), do: if(have > 0, do: have, else: wanted || -1)
 
   defp where(:inline, _times), do: :inline
   defp where(:dirty, _times), do: :dirty

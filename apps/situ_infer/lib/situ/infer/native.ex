@@ -10,7 +10,10 @@ defmodule Situ.Infer.Native do
 
   def load_runtime(_path), do: :erlang.nif_error(:nif_not_loaded)
   def runtime_version, do: :erlang.nif_error(:nif_not_loaded)
-  def load_model(_bytes, _threads, _sessions, _device), do: :erlang.nif_error(:nif_not_loaded)
+
+  def load_model(_bytes, _threads, _sessions, _device, _folder),
+    do: :erlang.nif_error(:nif_not_loaded)
+
   def run_dirty(_model, _inputs), do: :erlang.nif_error(:nif_not_loaded)
   def run_inline(_model, _inputs), do: :erlang.nif_error(:nif_not_loaded)
 

@@ -44,7 +44,14 @@ defmodule Situ.Infer.Onnx do
   @type attribute :: integer() | float() | [integer()] | String.t()
   @type operation :: {String.t(), [String.t()], [String.t()], keyword(attribute())}
 
-  @doc "The bytes of a file with `inputs:`, `outputs:`, `nodes:` and `constants:` (tensors by name)."
+  @type constant :: Tensor.t() | {:external, String.t(), non_neg_integer(), Tensor.t()}
+
+  @doc """
+  Returns the bytes of a file with `inputs:`, `outputs:`, `nodes:` and `constants:` (tensors by name).
+
+  A constant `{:external, file, offset, tensor}` has its data at that offset of `file`, next to the model file; the
+  caller writes it.
+  """
   @spec encode(keyword()) :: binary()
   def encode(parts) do
     graph = [
@@ -136,9 +143,21 @@ defmodule Situ.Infer.Onnx do
   defp attribute(value) when is_binary(value), do: [text(4, value), int(20, 3)]
   defp attribute(values) when is_list(values), do: [Enum.map(values, &int(8, &1)), int(20, 7)]
 
-  defp constant(name, %Tensor{} = tensor) do
+  defp constant(name, %Tensor{} = tensor), do: [outline(name, tensor), bytes(9, tensor.data)]
+
+  defp constant(name, {:external, file, offset, tensor}) do
+    entries = [location: file, offset: offset, length: byte_size(tensor.data)]
+
+    entries =
+      for {key, value} <- entries,
+          do: bytes(13, [text(1, to_string(key)), text(2, to_string(value))])
+
+    [outline(name, tensor), entries, int(14, 1)]
+  end
+
+  defp outline(name, tensor) do
     dims = tensor.shape |> Tuple.to_list() |> Enum.map(&int(1, &1))
-    [dims, int(2, Map.fetch!(@types, tensor.type)), text(8, name), bytes(9, tensor.data)]
+    [dims, int(2, Map.fetch!(@types, tensor.type)), text(8, name)]
   end
 
   defp port({name, type, shape}) do

@@ -5,6 +5,8 @@ defmodule Situ.Infer.ModelTest do
   alias Situ.Infer.Onnx
   alias Situ.Tensor
 
+  doctest Situ.Infer.Model
+
   @golden Path.expand("../../fixtures/golden", __DIR__)
 
   defp golden(name), do: File.read!(Path.join(@golden, name))
@@ -221,10 +223,64 @@ defmodule Situ.Infer.ModelTest do
       assert what =~ path and is_binary(why)
     end
 
-    # Voice activity cannot hear a piece of one sample.
+    # Voice activity needs pieces of 576 samples, and here all sizes are given.
+    inputs = %{"input" => {:f32, {1, 1}}, "state" => {:f32, {2, 1, 128}}}
+
     assert {:error, %{code: :model_failed, what: what, fix: fix}} =
-             Model.load(Model.path("silero_vad.onnx"))
+             Model.load(Model.path("silero_vad.onnx"), inputs: inputs)
 
     assert what =~ "silero_vad" and what =~ "zeros" and fix =~ "made for"
+  end
+
+  @tag :tmp_dir
+  test "a model that accepts no size of 1 loads without a warm-up, and runs", %{tmp_dir: dir} do
+    # Rows of a free width are put below two rows of three.
+    bytes =
+      Onnx.encode(
+        inputs: [{"x", :f32, {nil, nil}}],
+        outputs: [{"y", :f32, {nil, 3}}],
+        constants: %{"top" => Tensor.from_list([1.0, 2.0, 3.0], :f32, {1, 3})},
+        nodes: [{"Concat", ["top", "x"], ["y"], [axis: 0]}]
+      )
+
+    path = Path.join(dir, "below.onnx")
+    File.write!(path, bytes)
+    assert {:ok, model} = Model.load(path)
+    assert model.where == :dirty
+    x = Tensor.from_list([4.0, 5.0, 6.0], :f32, {1, 3})
+    assert {:ok, %{"y" => y}} = Model.run(model, %{"x" => x})
+    assert Tensor.to_list(y) == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    # With an example it is warmed up, and its time decides where it runs.
+    assert {:ok, %{where: :inline}} = Model.load(path, example: %{"x" => x})
+    # An example that does not run is an error: nothing was guessed.
+    bad = Tensor.zeros(:f32, {1, 2})
+    assert {:error, %{code: :model_failed}} = Model.load(path, example: %{"x" => bad})
+  end
+
+  @tag :tmp_dir
+  test "weights in a file of their own are found next to the model file", %{tmp_dir: dir} do
+    weights = Tensor.from_list([10.0, 20.0, 30.0], :f32, {3})
+
+    bytes =
+      Onnx.encode(
+        inputs: [{"x", :f32, {nil, 3}}],
+        outputs: [{"y", :f32, {nil, 3}}],
+        constants: %{"w" => {:external, "weights.bin", 4, weights}},
+        nodes: [{"Add", ["x", "w"], ["y"], []}]
+      )
+
+    path = Path.join(dir, "large.onnx")
+    File.write!(path, bytes)
+    # Without its data it is told what is missing.
+    assert {:error, %{code: :bad_model, what: what, fix: fix}} = Model.load(path)
+    assert what =~ Path.join(dir, "weights.bin") and fix =~ "next to the model file"
+    File.write!(Path.join(dir, "weights.bin"), <<0::32, weights.data::binary>>)
+    assert {:ok, model} = Model.load(path)
+    one = %{"x" => Tensor.from_list([1.0, 2.0, 3.0], :f32, {1, 3})}
+    assert {:ok, %{"y" => y}} = Model.run(model, one)
+    assert Tensor.to_list(y) == [11.0, 22.0, 33.0]
+    # Every session of the model has the same weights.
+    tasks = for _ <- 1..8, do: Task.async(fn -> Model.run(model, one) end)
+    assert Enum.all?(Task.await_many(tasks, 30_000), &match?({:ok, %{"y" => ^y}}, &1))
   end
 end

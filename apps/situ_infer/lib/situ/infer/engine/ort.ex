@@ -39,7 +39,13 @@ defmodule Situ.Infer.Engine.Ort do
   def load(bytes, opts) do
     with :ok <- open(),
          {:ok, {handle, inputs, outputs}} <-
-           Native.load_model(bytes, opts[:threads], opts[:sessions], device(opts[:provider])) do
+           Native.load_model(
+             bytes,
+             opts[:threads],
+             opts[:sessions],
+             device(opts[:provider]),
+             opts[:folder]
+           ) do
       {:ok,
        %{handle: handle, inputs: Enum.map(inputs, &port/1), outputs: Enum.map(outputs, &port/1)}}
     else
@@ -94,6 +100,13 @@ defmodule Situ.Infer.Engine.Ort do
     Error.new(:no_onnxruntime, "ONNX Runtime cannot be opened: #{text}",
       why: "the file is no ONNX Runtime library for this machine, or older than 1.24",
       fix: "run bin/setup again, or set SITU_ONNXRUNTIME to a working libonnxruntime.so"
+    )
+  end
+
+  defp error(:model, "External data" <> _ = text) do
+    Error.new(:bad_model, "the model's weights cannot be read: #{text}",
+      why: "the model file names another file that holds its weights (ONNX's external data)",
+      fix: "put that file next to the model file, under the name that it has in the model"
     )
   end
 
