@@ -33,6 +33,7 @@ defmodule Situ.Examples.Demo do
   alias Situ.Error
   alias Situ.Examples.Demo.{Cluster, Options, Profile, Recording, Score, Table, Transcript, Truth}
   alias Situ.Examples.MultimodalVoiceActivity
+  alias Situ.Infer.LipSync
 
   @doc "Runs the demo and ends the VM with its exit status."
   @spec main([String.t()]) :: no_return()
@@ -66,7 +67,7 @@ defmodule Situ.Examples.Demo do
   Runs the pipeline on what the options name. Answers its report, whose `result.path` is the recording's, and the
   seconds it took.
 
-  Options: `input:`, `out:`, `realtime:`, `seconds:`.
+  Options: `input:`, `out:`, `realtime:`, `seconds:`, `sound_shift:`.
   """
   @spec record(keyword()) ::
           {:ok, Situ.Pipeline.Report.t(), wall_s :: float()} | {:error, Error.t()}
@@ -77,7 +78,8 @@ defmodule Situ.Examples.Demo do
       input: opts[:input],
       path: opts[:out],
       policy: opts[:policy],
-      transcript: opts[:transcript]
+      transcript: opts[:transcript],
+      sound_shift: opts[:sound_shift]
     ]
 
     started = System.monotonic_time()
@@ -137,17 +139,38 @@ defmodule Situ.Examples.Demo do
   end
 
   defp show(%{result: %{path: path}} = report, wall_s, truth, opts) do
-    case Recording.read(path) do
-      {:ok, recording} ->
-        score = truth && Score.of(truth, recording.found)
-        said = said(recording, truth, path, opts)
-        IO.puts(table(opts, recording, score, wall_s, path, said))
-        if opts[:profile], do: IO.puts(:stderr, ["\n", Profile.render(report.snapshot, wall_s)])
-        if opts[:headless], do: 0, else: serve(path, opts)
+    with {:ok, recording} <- Recording.read(path) do
+      if LipSync.off?(recording.sync) and movable?(opts),
+        do: record_in_step(recording.sync, path, truth, opts),
+        else: print(recording, report, wall_s, truth, opts)
+    else
+      {:error, error} -> fail(Exception.message(error), 1)
+    end
+  end
+
+  # A camera cannot be asked again, and what has been moved once is left alone.
+  defp movable?(opts), do: not opts[:live] and opts[:sound_shift] == nil
+
+  defp record_in_step(sync, path, truth, opts) do
+    opts = Keyword.merge(opts, sound_shift: -sync.shift, sync: sync)
+
+    case record(opts) do
+      {:ok, report, wall_s} ->
+        # The recording that was out of step is the demo's own, and of no more use.
+        Situ.Store.delete(path)
+        show(report, wall_s, truth, opts)
 
       {:error, error} ->
-        fail(Exception.message(error), 1)
+        salvage(error, opts)
     end
+  end
+
+  defp print(recording, %{result: %{path: path}} = report, wall_s, truth, opts) do
+    score = truth && Score.of(truth, recording.found)
+    said = said(recording, truth, path, opts)
+    IO.puts(table(opts, recording, score, wall_s, path, said))
+    if opts[:profile], do: IO.puts(:stderr, ["\n", Profile.render(report.snapshot, wall_s)])
+    if opts[:headless], do: 0, else: serve(path, opts)
   end
 
   defp said(recording, truth, path, opts) do

@@ -7,15 +7,18 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
   `input:` is a file, `"simulated:talk1.mp4"`, or a camera (`"/dev/video0"`). The recording, `path/Talk.NNNN`, holds
   the sound, the pictures as JPEG, what the models saw in them, who was speaking, and the pipeline's own diagnostics.
   With `transcript: true` also what was said (`Situ.Infer.Speech.Moonshine`), and boxes with the words at the faces that
-  say them.
+  say them. `sound_shift:` (ns) moves the sound of a file against its pictures, where the file has them out of step.
   """
   use Situ.Pipeline
 
   alias Situ.Infer.{Face, MouthShape, SpeechRecognizer, VoiceActivity}
+  alias Situ.Media.VideoFile
+
+  @sound Situ.AudioFormat.pcm(16_000)
 
   @impl true
   def build(p, opts) do
-    talk = Situ.Media.open(p, opts[:input], audio_format: Situ.AudioFormat.pcm(16_000))
+    talk = open(p, opts[:input], opts[:sound_shift] || 0)
 
     hear = talk.audio && Situ.via(talk.audio, VoiceActivity, name: "VoiceActivity")
     voice = hear && hear.voice
@@ -59,6 +62,18 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
     record.(said && lips && words(lips.mouths, speaking, said), "Words")
     record.(Situ.Diagnostics.stream(p), "Diagnostics")
     store
+  end
+
+  defp open(p, input, 0), do: Situ.Media.open(p, input, audio_format: @sound)
+
+  # Pictures and sound are read one by one, each at times of its own; nothing begins before the pictures do.
+  defp open(p, file, shift) do
+    {:ok, info} = Situ.Media.FileInfo.read(file)
+    start = (info.recorded_at || 0) + shift
+    span = [start: max(-shift, 0), start_time: start]
+    pictures = VideoFile.open(p, file, audio: false)
+    sound = VideoFile.open(p, file, [video: false, audio_format: @sound] ++ span)
+    %{video: pictures.video, audio: sound.audio}
   end
 
   defp transcript(sound, hear, who) do

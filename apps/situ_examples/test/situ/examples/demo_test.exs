@@ -100,6 +100,37 @@ defmodule Situ.Examples.DemoTest do
   end
 
   @tag :tmp_dir
+  test "finds sound that is late, says so and moves it: who speaks is right again", %{
+    tmp_dir: dir
+  } do
+    late = Path.join(dir, "late.mp4")
+
+    # The sound of the clip 300 ms later; the pictures are the same.
+    ffmpeg!(
+      ["-i", Options.clip(), "-itsoffset", "0.3", "-i", Options.clip()] ++
+        ~w(-t 8 -map 0:v -map 1:a -c:v copy -c:a aac) ++ [late]
+    )
+
+    argv = ["--input", late, "--truth", @truth, "--headless", "--out", dir]
+    out = capture_io(fn -> assert Demo.run(argv) == 0 end)
+    assert [_, ms] = Regex.run(~r/The sound is (\d+) ms late against the lips/, out)
+    assert_in_delta String.to_integer(ms), 300, 60
+    assert out =~ "it was moved by that"
+    # The recording that was out of step is gone; in the other one the sound is in step.
+    assert [path] = Store.list(dir)
+    {:ok, recording} = Recording.read(path)
+    refute Situ.Infer.LipSync.off?(recording.sync)
+    assert_in_delta recording.sync.shift / 1.0e6, 0.0, 60.0
+
+    # As good as the clip in step, over the part that there is.
+    {:ok, truth} = Truth.read(@truth)
+    truth = %{truth | frames: 200}
+    assert Score.of(truth, recording.found).frame_accuracy >= 0.96
+    # The words before: nothing about 1970 is left unsaid.
+    assert out =~ "1970" and out =~ "latencies in the recording are not real time"
+  end
+
+  @tag :tmp_dir
   test "goes on with what there is: no sound, no pictures, no face", %{tmp_dir: dir} do
     silent = Path.join(dir, "silent.mp4")
     ffmpeg!(["-i", Options.clip(), "-t", "1", "-an", silent])

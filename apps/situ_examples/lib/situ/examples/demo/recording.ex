@@ -3,15 +3,28 @@ defmodule Situ.Examples.Demo.Recording do
   The content of a recording of the demo: who was seen where, who spoke when, and how late each decision came.
 
     * `frames`: pictures with a decision; `media_s`: how long they last
-    * `found`: per picture, its time from the first and the faces with their rectangles and whether they speak
+    * `found`: per picture, its time from the first and the faces with their rectangles and whether they speak; none
+      where there is no decision on it
     * `spoken`: `{face id, from, to}` in nanoseconds from the first picture, in the order of time
     * `utterances`: `Situ.Infer.Speech.Utterance`s, with times from the first picture
+    * `sync`: a `Situ.Infer.LipSync`, how late or early the sound is against the lips
+    * `start`: the originating time of the first picture
     * `latency_ms`: `{median, 95th percentile}` from a picture to the decision on it
   """
   alias Situ.Store
 
-  @enforce_keys [:frames, :media_s, :found, :spoken, :latency_ms, :missing]
-  defstruct [:frames, :media_s, :found, :spoken, :latency_ms, :missing, utterances: []]
+  @enforce_keys [:frames, :media_s, :found, :spoken, :latency_ms, :missing, :sync, :start]
+  defstruct [
+    :frames,
+    :media_s,
+    :found,
+    :spoken,
+    :latency_ms,
+    :missing,
+    :sync,
+    :start,
+    utterances: []
+  ]
 
   @type t :: %__MODULE__{}
 
@@ -21,16 +34,21 @@ defmodule Situ.Examples.Demo.Recording do
     with {:ok, store} <- Store.open(path) do
       names = store |> Store.streams() |> Enum.map(& &1.name)
       speaking = messages(store, names, "Talk.Speaking")
-      mouths = messages(store, names, "Talk.Mouths") |> Map.new(&{&1.originating_time, &1.data})
+      mouths = pairs(store, names, "Talk.Mouths")
+      voices = pairs(store, names, "Talk.Voice")
+      pictures = picture_times(store, names)
+      zero = Enum.min(Enum.take(pictures, 1) ++ times(Enum.take(speaking, 1)), fn -> 0 end)
 
       {:ok,
        %__MODULE__{
          frames: length(speaking),
          media_s: media_s(speaking),
-         found: found(speaking, mouths),
-         spoken: spoken(speaking),
+         found: found(speaking, Map.new(mouths), pictures, zero),
+         sync: Situ.Infer.LipSync.estimate(mouths, voices),
+         start: zero,
+         spoken: spoken(speaking, zero),
          latency_ms: latency(speaking),
-         utterances: utterances(messages(store, names, "Talk.Transcript"), speaking),
+         utterances: utterances(messages(store, names, "Talk.Transcript"), zero),
          missing:
            for(
              {name, what} <- [{"Talk.Sound", :sound}, {"Talk.Pictures", :pictures}],
@@ -44,25 +62,39 @@ defmodule Situ.Examples.Demo.Recording do
   defp messages(store, names, name),
     do: if(name in names, do: store |> Store.messages(name) |> Enum.to_list(), else: [])
 
+  defp pairs(store, names, name),
+    do: for(m <- messages(store, names, name), do: {m.originating_time, m.data})
+
   # Without pictures times count from the beginning of the sound, as they are.
-  defp utterances(said, speaking) do
-    zero = if speaking == [], do: 0, else: hd(speaking).originating_time
-    for %{data: u} <- said, do: %{u | from: u.from - zero, to: u.to - zero}
-  end
+  defp utterances(said, zero),
+    do: for(%{data: u} <- said, do: %{u | from: u.from - zero, to: u.to - zero})
 
-  defp found([], _mouths), do: []
-
-  defp found([first | _] = speaking, mouths) do
-    for message <- speaking do
-      faces = Map.get(mouths, message.originating_time, %{})
-      seen = for {id, speaks?} <- message.data, mouth = faces[id], do: {mouth.rect, speaks?}
-      {message.originating_time - first.originating_time, seen}
+  defp picture_times(store, names) do
+    if "Talk.Pictures" in names do
+      {:ok, messages} = Store.read(store, "Talk.Pictures", envelopes: true)
+      times(messages)
+    else
+      []
     end
   end
 
-  defp spoken([]), do: []
+  defp times(messages), do: Enum.map(messages, & &1.originating_time)
 
-  defp spoken([first | _] = speaking) do
+  defp found(speaking, mouths, pictures, zero) do
+    decided =
+      Map.new(speaking, fn message ->
+        faces = Map.get(mouths, message.originating_time, %{})
+        seen = for {id, speaks?} <- message.data, mouth = faces[id], do: {mouth.rect, speaks?}
+        {message.originating_time, seen}
+      end)
+
+    (pictures ++ Map.keys(decided))
+    |> Enum.uniq()
+    |> Enum.sort()
+    |> Enum.map(&{&1 - zero, Map.get(decided, &1, [])})
+  end
+
+  defp spoken(speaking, zero) do
     ids = speaking |> Enum.flat_map(&Map.keys(&1.data)) |> Enum.uniq() |> Enum.sort()
 
     ids
@@ -71,8 +103,7 @@ defmodule Situ.Examples.Demo.Recording do
       |> Enum.chunk_by(&(&1.data[id] == true))
       |> Enum.filter(fn [m | _] -> m.data[id] == true end)
       |> Enum.map(fn run ->
-        from = hd(run).originating_time - first.originating_time
-        {id, from, List.last(run).originating_time - first.originating_time}
+        {id, hd(run).originating_time - zero, List.last(run).originating_time - zero}
       end)
     end)
     |> Enum.sort_by(fn {id, from, _} -> {from, id} end)

@@ -3,9 +3,11 @@ defmodule Situ.Examples.Demo.Score do
   Compares who was found to speak with who does, picture by picture.
 
   A picture is right when exactly the faces speak that should; pictures within 0.2 s of an edge of a segment are not
-  scored. A tracked face counts as the true one whose box it overlaps most, and as a stranger when it overlaps none. A
-  picture for which there is no decision has nobody speaking. `false_speech_s` and `missed_speech_s` add up over
-  faces.
+  scored. A tracked face counts as the true one whose box it overlaps most, and as a stranger when it overlaps none.
+
+  A clip may leave pictures out (a variable frame rate): a picture, and the decision on it, stands until the next one.
+  A picture with no decision has nobody speaking, and so has the time after the last one. `false_speech_s` and
+  `missed_speech_s` add up over faces.
 
       iex> json = ~s({"fps": 10, "frames": 10, "faces": [{"id": 0, "box": [0, 0, 9, 9]}],
       ...>   "speech": [{"face": 0, "speech_start": 0.0, "speech_end": 1.0}]})
@@ -31,14 +33,12 @@ defmodule Situ.Examples.Demo.Score do
   @type found :: [{Situ.Time.t(), [{Situ.Rect.t(), speaking? :: boolean()}]}]
   @type t :: %__MODULE__{}
 
-  @doc "The score of decisions whose times count from the beginning of the clip."
+  @doc "Returns the score of decisions whose times count from the beginning of the clip."
   @spec of(Truth.t(), found()) :: t()
   def of(%Truth{} = truth, found) do
-    by_frame = Map.new(found, fn {time, faces} -> {round(time * truth.fps / 1.0e9), faces} end)
-
     rows =
-      for i <- 0..(truth.frames - 1), not Truth.near_edge?(truth, i / truth.fps) do
-        {Truth.speakers(truth, i / truth.fps), said(truth, Map.get(by_frame, i, []))}
+      for {i, faces} <- hold(found, truth), not Truth.near_edge?(truth, i / truth.fps) do
+        {Truth.speakers(truth, i / truth.fps), said(truth, faces)}
       end
 
     per_face = Map.new(truth.faces, fn {id, _} -> {to_string(id), face(rows, id, truth.fps)} end)
@@ -56,6 +56,22 @@ defmodule Situ.Examples.Demo.Score do
       missed_speech_s: seconds(missed, truth.fps),
       per_face: per_face
     }
+  end
+
+  # Each picture of the truth, with what was found in the picture that is shown at its time.
+  defp hold(found, truth) do
+    shown = for {time, faces} <- found, do: {round(time * truth.fps / 1.0e9), faces}
+    # Of several pictures in one place the last counts.
+    shown = shown |> Map.new() |> Enum.sort()
+    last = truth.frames - 1
+
+    {rows, {shown_at, shown_faces}} =
+      Enum.flat_map_reduce(shown, {0, []}, fn {i, faces}, {from, held} ->
+        {for(j <- from..min(i - 1, last)//1, do: {j, held}), {i, faces}}
+      end)
+
+    rest = for j <- (shown_at + 1)..last//1, do: {j, []}
+    rows ++ if(shown_at <= last, do: [{shown_at, shown_faces} | rest], else: [])
   end
 
   defp said(truth, faces) do

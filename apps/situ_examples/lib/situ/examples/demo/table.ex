@@ -14,6 +14,9 @@ defmodule Situ.Examples.Demo.Table do
       "wall_s" => Float.round(result.wall_s, 3),
       "media_s" => Float.round(recording.media_s * 1.0, 3),
       "latency_p95_ms" => result.opts[:realtime] && round_ms(elem(recording.latency_ms, 1)),
+      "sound_late_ms" => div(sync(result).shift, 1_000_000),
+      "sound_late_confidence" => sync(result).confidence,
+      "sound_moved_ms" => div(result.opts[:sound_shift] || 0, 1_000_000),
       "recording" => result.path
     })
     |> Map.merge(said_json(result.said))
@@ -41,16 +44,40 @@ defmodule Situ.Examples.Demo.Table do
   defp text(%{recording: recording} = result) do
     [
       missing(recording.missing),
+      out_of_step(result),
       spoken(recording.spoken),
       said(result.said),
       score(result.score),
       "\n#{recording.frames} pictures, #{seconds(recording.media_s)} s",
       if(result.wall_s > 0, do: ", in #{seconds(result.wall_s)} s", else: []),
       latency(result),
+      origin(recording),
       "\nRecording: ",
       result.path
     ]
   end
+
+  # The estimate by which the sound was moved, or that of the recording.
+  defp sync(%{opts: opts, recording: recording}), do: opts[:sync] || recording.sync
+
+  defp out_of_step(%{opts: opts} = result) do
+    sync = sync(result)
+    lateness = if sync.shift > 0, do: "late", else: "early"
+    ms = div(abs(sync.shift), 1_000_000)
+    told = "The sound is #{ms} ms #{lateness} against the lips (confidence #{sync.confidence})"
+
+    cond do
+      opts[:sync] -> [told, ": it was moved by that for all that follows.\n"]
+      Situ.Infer.LipSync.off?(sync) -> [told, ": who speaks is not to be relied on.\n"]
+      true -> []
+    end
+  end
+
+  # A file that does not say when it was made begins at the epoch: somebody may wonder about the year.
+  defp origin(%{start: start, frames: frames}) when frames > 0 and start < 86_400_000_000_000,
+    do: "\nThe clip does not say when it was made: its times count from 1970-01-01."
+
+  defp origin(_recording), do: []
 
   defp missing(list) do
     for what <- list do
@@ -109,7 +136,7 @@ defmodule Situ.Examples.Demo.Table do
     if opts[:realtime] || opts[:live],
       do:
         "\nFrom picture to decision: median #{round_ms(median)} ms, 95 % within #{round_ms(p95)} ms",
-      else: []
+      else: "\nReplayed as fast as possible: latencies in the recording are not real time."
   end
 
   defp latency(_), do: []

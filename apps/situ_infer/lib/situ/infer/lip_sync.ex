@@ -1,0 +1,149 @@
+defmodule Situ.Infer.LipSync do
+  @moduledoc """
+  Estimates by how much the sound of a recording is late or early against its pictures, from lips and voice.
+
+      mouths = for m <- Situ.Store.messages(store, "Talk.Mouths"), do: {m.originating_time, m.data}
+      voices = for m <- Situ.Store.messages(store, "Talk.Voice"), do: {m.originating_time, m.data}
+      Situ.Infer.LipSync.estimate(mouths, voices)
+      #=> %Situ.Infer.LipSync{shift: 300_000_000, confidence: 0.71, windows: 38}
+
+  For each shift of up to half a second, windows of one second with a voice in them are compared with the mouth that
+  agrees best: correlation of its opening with the loudness, as `Situ.Infer.ActiveSpeaker` decides who speaks. Only in
+  one place do lips and voice of a real speaker agree, and the mean over all windows has a narrow peak there. The
+  confidence is how much higher that peak is than the best shift that is not next to it, 0 to 1. Voices from outside
+  of the picture have no peak, so that the confidence is low.
+  """
+  alias Situ.Infer.ActiveSpeaker.Agreement
+  alias Situ.Infer.{Mouth, Voice}
+
+  @enforce_keys [:shift, :confidence, :windows]
+  defstruct [:shift, :confidence, :windows]
+
+  @typedoc "`shift` in nanoseconds, positive when the sound is late; `windows`: how many seconds were compared."
+  @type t :: %__MODULE__{
+          shift: integer(),
+          confidence: float(),
+          windows: non_neg_integer()
+        }
+
+  @most 500_000_000
+  @step 20_000_000
+  # Shifts this near to the best belong to its peak.
+  @peak 140_000_000
+  @window 1_000_000_000
+  @hop 200_000_000
+  # A film of hours is judged by so many windows, spread over all of it.
+  @most_windows 300
+  @min_pictures 8
+  @clear_movement 0.03
+  @compress 0.7
+  @voiced 0.5
+  # Below these an estimate is a guess.
+  @confident 0.5
+  @min_windows 10
+  # Lips and voice that are this near are in step for every use.
+  @in_step 80_000_000
+
+  @doc "Returns the estimate; lists in the order of time. Deterministic: the same lists give the same estimate."
+  @spec estimate([{Situ.Time.t(), %{term() => Mouth.t()}}], [{Situ.Time.t(), Voice.t()}]) :: t()
+  def estimate(mouths, voices) do
+    voices = List.to_tuple(voices)
+    windows = mouths |> windows() |> thin() |> Enum.filter(&voiced?(&1, voices))
+    curve = for shift <- -@most..@most//@step, do: {shift, agreement(windows, voices, shift)}
+    {shift, top} = Enum.max_by(curve, fn {shift, value} -> {value, -abs(shift)} end)
+    other = for {at, value} <- curve, abs(at - shift) > @peak, do: value
+    confidence = if top > 0.0, do: (top - Enum.max(other)) / top, else: 0.0
+
+    %__MODULE__{
+      shift: shift,
+      confidence: confidence |> max(0.0) |> Float.round(3),
+      windows: length(windows)
+    }
+  end
+
+  @doc """
+  Tells whether sound and pictures are clearly out of step: by 80 ms or more, with enough confidence.
+
+      iex> Situ.Infer.LipSync.off?(%Situ.Infer.LipSync{shift: -300_000_000, confidence: 0.7, windows: 40})
+      true
+      iex> Situ.Infer.LipSync.off?(%Situ.Infer.LipSync{shift: -300_000_000, confidence: 0.2, windows: 40})
+      false
+  """
+  @spec off?(t()) :: boolean()
+  def off?(%__MODULE__{} = estimate) do
+    abs(estimate.shift) >= @in_step and estimate.confidence >= @confident and
+      estimate.windows >= @min_windows
+  end
+
+  # Overlapping windows of pictures.
+  defp windows([]), do: []
+
+  defp windows([{start, _} | _] = mouths) do
+    window = Enum.take_while(mouths, fn {time, _} -> time < start + @window end)
+    rest = Enum.drop_while(mouths, fn {time, _} -> time < start + @hop end)
+    if rest == [], do: [window], else: [window | windows(rest)]
+  end
+
+  defp thin(windows) do
+    every = max(div(length(windows) + @most_windows - 1, @most_windows), 1)
+    Enum.take_every(windows, every)
+  end
+
+  # The same windows are compared at every shift, so that the shifts have equal chances.
+  defp voiced?(window, voices) do
+    heard = for {time, _} <- window, voice = nearest(voices, time), do: voice.probability
+    length(heard) >= @min_pictures and Enum.count(heard, &(&1 > @voiced)) * 2 >= length(heard)
+  end
+
+  defp agreement([], _voices, _shift), do: 0.0
+
+  defp agreement(windows, voices, shift) do
+    sum = for window <- windows, reduce: 0.0, do: (sum -> sum + best(window, voices, shift))
+    sum / length(windows)
+  end
+
+  # The mouth that agrees best is the speaker's, if anybody's.
+  defp best(window, voices, shift) do
+    heard =
+      for {time, mouths} <- window, voice = nearest(voices, time + shift), do: {mouths, voice}
+
+    ids = heard |> Enum.flat_map(fn {mouths, _} -> Map.keys(mouths) end) |> Enum.uniq()
+
+    ids
+    |> Enum.map(fn id ->
+      pairs = for {%{^id => mouth}, voice} <- heard, do: {mouth.opening, loudness(voice)}
+
+      if length(pairs) >= @min_pictures, do: score(pairs), else: 0.0
+    end)
+    |> Enum.reduce(0.0, &max/2)
+  end
+
+  defp score(pairs) do
+    {low, high} = pairs |> Enum.map(&elem(&1, 0)) |> Enum.min_max()
+    Agreement.correlation(pairs) * min(1.0, (high - low) / @clear_movement)
+  end
+
+  # Twice as loud is not twice as open.
+  defp loudness(%{level: level}) when level > 0.0, do: :math.pow(level, @compress)
+  defp loudness(_voice), do: 0.0
+
+  # What is heard nearest to a time, `nil` where there is nothing.
+  defp nearest(voices, time), do: nearest(voices, time, 0, tuple_size(voices))
+
+  defp nearest(voices, time, low, high) when low < high do
+    middle = div(low + high, 2)
+
+    if elem(elem(voices, middle), 0) < time,
+      do: nearest(voices, time, middle + 1, high),
+      else: nearest(voices, time, low, middle)
+  end
+
+  defp nearest(voices, time, at, _high) do
+    for(i <- [at - 1, at], i >= 0 and i < tuple_size(voices), do: elem(voices, i))
+    |> Enum.min_by(fn {heard, _} -> abs(heard - time) end, fn -> {nil, nil} end)
+    |> case do
+      {heard, voice} when is_integer(heard) and abs(heard - time) <= 40_000_000 -> voice
+      _ -> nil
+    end
+  end
+end
