@@ -16,6 +16,9 @@ defmodule Situ.Fixture.LifecycleWorld do
     next: 100,
     forgotten: [],
     refusing: [],
+    # The stages that the server has an entry of.
+    entries: MapSet.new(),
+    taps: [],
     clock?: false
   ]
 
@@ -107,24 +110,50 @@ defmodule Situ.Fixture.LifecycleWorld do
 
   # A part is named by those that run.
   defp happen({:wish, {:part, ids}}, world) do
-    alone = for {_, part} <- world.life.parts, id <- part.ids, do: id
-
-    ids =
-      for id <- ids,
-          %{status: :running} <- [world.life.stages[id]],
-          id not in alone,
-          do: id
-
-    if ids != [] and world.life.phase == :running,
-      do:
-        apply_event(world, {:stop_part, make_ref(), ids, %{catch_up: 10, from: {:caller, ids}}}),
-      else: world
+    ids = part(world, ids)
+    if ids == [], do: world, else: stop_part(world, ids, [])
   end
+
+  # What is removed may have ended before, in part or as a whole.
+  defp happen({:wish, {:remove, ids}}, world) do
+    growing = for {_, growth} <- world.life.growths, id <- growth.ids, do: id
+    there? = &(&1 in world.entries and &1 not in world.forgotten and &1 not in growing)
+    forget = ids |> Enum.uniq() |> Enum.filter(there?)
+    if forget == [], do: world, else: stop_part(world, part(world, forget), forget)
+  end
+
+  # A tap, as the server attaches and detaches it.
+  defp happen({:wish, {:tap, _}}, %{life: %{phase: :running}} = world) do
+    case Enum.find(world.life.stages, fn {_, m} -> m.status == :running and not m.tap? end) do
+      {from, _} ->
+        id = world.next
+        link = %{from: from, to: id, output: :out, id: {from, id}}
+        world = %{world | next: id + 1, taps: [id | world.taps]}
+        world = %{world | entries: MapSet.put(world.entries, id)}
+        world = perform({:spawn, [id]}, world)
+        member = %Member{id: id, path: "S#{id}", on_error: :skip, tap?: true}
+        world |> apply_event({:joined, member}) |> apply_event({:linked, link.id, link})
+
+      nil ->
+        world
+    end
+  end
+
+  defp happen({:wish, {:tap, _}}, world), do: world
+
+  defp happen({:wish, :untap}, %{taps: [id | taps]} = world) do
+    world = put(%{world | taps: taps}, {:wish, {:kill, id}})
+    if id in world.entries, do: apply_event(world, {:left, id}), else: world
+  end
+
+  defp happen({:wish, :untap}, world), do: world
 
   # Two stages, the first a source, the second behind it and behind one that runs; or such a one alone.
   defp happen({:wish, {:grow, on_error}}, world) do
     {a, b} = {world.next, world.next + 1}
-    world = %{world | next: b + 1}
+    # The server takes it in only while it runs.
+    fresh = if world.life.phase == :running, do: [a, b], else: []
+    world = %{world | next: b + 1, entries: Enum.into(fresh, world.entries)}
     flowing = for {id, %{status: :running, up?: true}} <- world.life.stages, id < a, do: id
     member = %Member{id: a, path: "S#{a}", source?: true, on_error: on_error, added?: true}
     other = %{member | id: b, path: "S#{b}", source?: false}
@@ -142,12 +171,36 @@ defmodule Situ.Fixture.LifecycleWorld do
 
   defp happen({:wish, event}, world), do: apply_event(world, event)
 
+  defp part(%{life: %{phase: :running}} = world, ids) do
+    alone = for {_, part} <- world.life.parts, id <- part.ids, do: id
+    growing = for {_, growth} <- world.life.growths, id <- growth.ids, do: id
+
+    for id <- ids,
+        %{status: :running} <- [world.life.stages[id]],
+        id not in alone and id not in growing,
+        do: id
+  end
+
+  defp part(_world, _ids), do: []
+
+  defp stop_part(%{life: %{phase: :running}} = world, ids, forget) do
+    opts = %{catch_up: 10, from: {:caller, make_ref()}, forget: forget}
+    apply_event(world, {:stop_part, make_ref(), ids, opts})
+  end
+
+  defp stop_part(world, _ids, _forget), do: world
+
   defp kill(world, id) do
     if MapSet.member?(world.alive, id) do
       world = %{world | alive: MapSet.delete(world.alive, id)}
       # Its last words may still be under way, behind them the news of its end.
       world = %{world | bag: Enum.reject(world.bag, &match?({:stage, ^id, _}, &1))}
-      world = apply_event(world, {:exited, id, error(id), nil})
+
+      world =
+        if id in world.entries,
+          do: apply_event(world, {:exited, id, error(id), nil}),
+          else: world
+
       if id in world.forgotten, do: apply_event(world, {:left, id}), else: world
     else
       world
@@ -163,14 +216,43 @@ defmodule Situ.Fixture.LifecycleWorld do
   defp apply_event(world, event) do
     {life, actions} = Lifecycle.apply(world.life, event, 1_000 + world.steps)
     world = %{world | life: life, log: [{:event, event} | world.log]}
-    Enum.reduce(actions, world, &perform(&1, %{&2 | log: [{:action, &1} | &2.log]}))
+
+    Enum.reduce(actions, world, fn action, world ->
+      addressed!(action, world)
+      perform(action, %{world | log: [{:action, action} | world.log]})
+    end)
+  end
+
+  # What the server does with a stage it does with one that it has.
+  defp addressed!({what, ids}, world) when what in [:spawn, :start, :run, :shutdown, :kill],
+    do: known!(what, List.wrap(ids), world)
+
+  defp addressed!({what, id, _}, world) when what in [:tell, :rewire, :restarted],
+    do: known!(what, [id], world)
+
+  defp addressed!({:lend, tag}, world) do
+    case world.life.links.topology do
+      %{^tag => %{from: from, to: to}} -> known!(:lend, [from, to], world)
+      _ -> raise "#{inspect(tag)} is lent, and is no connection"
+    end
+  end
+
+  defp addressed!(_action, _world), do: :ok
+
+  defp known!(what, ids, world) do
+    case Enum.reject(ids, &(&1 in world.entries)) do
+      [] -> :ok
+      gone -> raise "#{what} is for #{inspect(gone)}, which the server has dropped"
+    end
   end
 
   defp perform({:handle, :run}, world), do: put(world, {:event, {:handled, :run, :ok}})
   defp perform({:handle, :completed}, world), do: put(world, {:event, {:handled, :completed}})
 
-  defp perform(:plan, %{graph: {members, links, _}} = world),
-    do: put(world, {:event, {:planned, members, links}})
+  defp perform(:plan, %{graph: {members, links, _}} = world) do
+    world = %{world | entries: MapSet.new(Map.keys(members))}
+    put(world, {:event, {:planned, members, links}})
+  end
 
   defp perform({:spawn, ids}, world) do
     world = %{world | alive: MapSet.union(world.alive, MapSet.new(ids))}
@@ -203,7 +285,13 @@ defmodule Situ.Fixture.LifecycleWorld do
     put(world, {:stage, from, {:lent, tag, if(closed?, do: {:closed, 7}, else: {:open, 5})}})
   end
 
-  defp perform({:forget, ids}, world), do: %{world | forgotten: ids ++ world.forgotten}
+  defp perform({:forget, ids}, world) do
+    over = Enum.filter(ids, &(&1 in world.entries and &1 not in world.alive))
+    world = %{world | forgotten: ids ++ world.forgotten}
+    Enum.reduce(over, world, &apply_event(&2, {:left, &1}))
+  end
+
+  defp perform({:drop, id}, world), do: %{world | entries: MapSet.delete(world.entries, id)}
   defp perform({:tell, id, :settle}, world), do: put(world, {:stage, id, {:settled, id}})
 
   defp perform({:tell, id, {:stop, _}}, world),

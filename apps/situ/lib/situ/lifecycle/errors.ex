@@ -10,6 +10,10 @@ defmodule Situ.Lifecycle.Errors do
     )
   end
 
+  @spec stream_removed() :: Error.t()
+  def stream_removed,
+    do: Error.new(:not_running, "the component that this stream comes from has been removed")
+
   @spec unpaced() :: Error.t()
   def unpaced do
     Error.new(:unpaced, "the pipeline runs as fast as it can: there is no speed to change",
@@ -22,6 +26,19 @@ defmodule Situ.Lifecycle.Errors do
   def unknown_request do
     Error.new(:unknown_request, "a pipeline has no answer to this call",
       fix: "use the functions of Situ.Pipeline"
+    )
+  end
+
+  @doc "The pipeline raised while it answered a request."
+  @spec request_failed(term(), {atom(), term(), list()}) :: Error.t()
+  def request_failed(request, {kind, reason, stack}) do
+    name = if is_tuple(request), do: elem(request, 0), else: request
+    banner = Exception.format_banner(kind, reason, stack)
+
+    Error.new(:request_failed, "the pipeline could not answer #{inspect(name)}: #{banner}",
+      why: "this is a fault of Situ, or of an argument; the pipeline keeps running as before",
+      fix: "check the arguments; the log has the whole error",
+      meta: %{kind: kind, reason: reason, stacktrace: stack}
     )
   end
 

@@ -82,14 +82,48 @@ defmodule Situ.Lifecycle.Growth do
     end
   end
 
+  @doc "The process of a stage has ended: what is being added and waits for its stream waits no more."
+  @spec lender_ended(State.t(), State.id()) :: State.t()
+  def lender_ended(%{growths: growths} = state, _id) when growths == %{}, do: state
+
+  def lender_ended(state, id) do
+    asked =
+      for {_, %{step: :lend, pending: pending}} <- state.growths,
+          tag <- pending,
+          %{from: ^id} <- [state.links.topology[tag]],
+          do: tag
+
+    # One that has begun again makes itself known to its neighbours.
+    Enum.reduce(asked, state, fn tag, state ->
+      if state.stages[id].alive?, do: lent(state, tag, {:open, nil}), else: closed(state, tag)
+    end)
+  end
+
+  defp lend(tag, state) do
+    %{from: from} = state.links.topology[tag]
+    if state.stages[from].alive?, do: act(state, {:lend, tag}), else: closed(state, tag)
+  end
+
+  defp closed(state, tag) do
+    %{from: from} = state.links.topology[tag]
+    member = state.stages[from]
+    time = Map.get(state.links.closing, tag, member.ends_at || member.limit || 0)
+    lent(state, tag, {:closed, time})
+  end
+
   defp answer(state, ref, what) do
     update = &%{&1 | pending: MapSet.delete(&1.pending, what)}
     %{state | growths: Map.update!(state.growths, ref, update)}
   end
 
   defp go_on(state, ref) do
-    growth = state.growths[ref]
-    if MapSet.size(growth.pending) == 0, do: step_done(state, ref, growth), else: state
+    case state.growths do
+      %{^ref => %{pending: pending} = growth} ->
+        if MapSet.size(pending) == 0, do: step_done(state, ref, growth), else: state
+
+      _ ->
+        state
+    end
   end
 
   defp step_done(state, ref, %{step: :up} = growth),
@@ -97,7 +131,7 @@ defmodule Situ.Lifecycle.Growth do
 
   defp step_done(state, ref, %{step: :start} = growth) do
     state = step(state, ref, growth, :lend, growth.lent)
-    growth.lent |> Enum.reduce(state, &act(&2, {:lend, &1})) |> go_on(ref)
+    growth.lent |> Enum.reduce(state, &lend/2) |> go_on(ref)
   end
 
   defp step_done(state, ref, %{step: :lend} = growth) do
@@ -148,7 +182,19 @@ defmodule Situ.Lifecycle.Growth do
 
     %{state | links: links, awaited: awaited}
     |> tell(alive, :quit)
-    |> mark(growth.ids, :ended)
+    |> mark(growth.ids, :dead)
     |> act({:forget, growth.ids})
+    |> fail_listeners(tags)
+  end
+
+  # Something else that is being added wanted to listen to it.
+  defp fail_listeners(state, tags) do
+    refs = for {ref, %{lent: lent}} <- state.growths, Enum.any?(lent, &(&1 in tags)), do: ref
+
+    Enum.reduce(refs, state, fn ref, state ->
+      if is_map_key(state.growths, ref),
+        do: failed(state, ref, Errors.stream_removed()),
+        else: state
+    end)
   end
 end

@@ -27,7 +27,8 @@ defmodule Situ.Lifecycle do
   # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}` | as they say |
   # | `{:rewire, id, links}`, `{:shutdown, id}`, `{:kill, id}` | as they say |
   # | `{:tell, id, request}`, `{:lend, tag}` | sends a stage a request; asks a stage to take a subscriber in |
-  # | `{:forget, ids}` | forgets stages that were removed |
+  # | `{:forget, ids}` | takes stages that were removed out of the graph: their names are free |
+  # | `{:drop, id}`, `{:unwire, tag}` | drops a stage, or a connection, that the life cycle does not know any more |
   # | `{:cut, ids, time}`, `{:release, ids}` | makes these stages ignore later messages; lets them finish all messages
   # and end |
   # | `{:failed, error}`, `{:noted, error}`, `{:restarted, id, error}` | logs it and calls the handlers |
@@ -41,6 +42,7 @@ defmodule Situ.Lifecycle do
     Links,
     Member,
     PartialStop,
+    Removal,
     Shutdown,
     Stall,
     Startup,
@@ -57,6 +59,7 @@ defmodule Situ.Lifecycle do
   @spec apply(State.t(), event(), Situ.Time.t()) :: {State.t(), [action()]}
   def apply(state, event, now) do
     state = state |> event(event, now) |> go_on(now) |> heard(event)
+    state = Removal.drop_left(state)
     {%{state | actions: []}, Enum.reverse(state.actions)}
   end
 
@@ -76,6 +79,8 @@ defmodule Situ.Lifecycle do
 
   defp event(%{phase: phase} = state, {:grow, _ref, _plan, from}, _now) when phase != :running,
     do: Growth.refuse(state, from)
+
+  defp event(state, {:left, id}, _now), do: Removal.leave(state, id)
 
   # Nothing happens to what is over, but that its last handlers return.
   defp event(%{phase: :completed} = state, {:handled, :completed}, _now),
@@ -122,14 +127,8 @@ defmodule Situ.Lifecycle do
     do: %{state | links: Links.add(state.links, tag, link)}
 
   defp event(state, {:unlinked, tag}, _now) do
-    state = %{state | links: Links.forget(state.links, tag)}
+    state = act(%{state | links: Links.forget(state.links, tag)}, {:unwire, tag})
     if state.step == :close, do: Shutdown.close_free(state), else: state
-  end
-
-  defp event(state, {:left, id}, _now) do
-    links = Links.forget_all(state.links, id)
-    state = answered(%{state | stages: Map.delete(state.stages, id), links: links}, id)
-    %{state | awaited: MapSet.delete(state.awaited, id)}
   end
 
   defp event(state, :enough, now), do: Shutdown.enough(state, now)
@@ -147,6 +146,12 @@ defmodule Situ.Lifecycle do
        do: stage(event, state, now)
 
   defp event(state, _event, _now), do: state
+
+  # A stage whose process is as good as gone has no say any more; but its end is news.
+  defp stage(event, state, _now)
+       when elem(event, 0) != :exited and
+              :erlang.map_get(:status, :erlang.map_get(elem(event, 1), state.stages)) == :dead,
+       do: state
 
   # A part being added takes the steps of a start by itself; if it fails, the rest goes on without it.
   defp stage(event, %{growths: growths} = state, now)
@@ -184,7 +189,12 @@ defmodule Situ.Lifecycle do
   defp known({:init_failed, id, error}, state, now),
     do: Failure.init_failed(state, id, error, now)
 
-  defp known({:exited, id, error, reached}, state, now) do
+  defp known({:exited, id, _error, _reached} = event, state, now),
+    do: event |> ended(state, now) |> Growth.lender_ended(id)
+
+  defp known(_event, state, _now), do: state
+
+  defp ended({:exited, id, error, reached}, state, now) do
     cond do
       state.stages[id].status == :restarting ->
         Unit.exited(state, id, now)
@@ -196,8 +206,6 @@ defmodule Situ.Lifecycle do
         exited(state, id, error, reached, now)
     end
   end
-
-  defp known(_event, state, _now), do: state
 
   # With an `on_error:` of its own it is restarted alone.
   defp dies_for_itself?(member), do: member.on_error == :stop

@@ -7,20 +7,25 @@ defmodule Situ.Lifecycle.PartialStop do
   alias Situ.Lifecycle.{Closing, Failure, Links, Shutdown, State}
   import Situ.Lifecycle.State
 
-  @typedoc "`ids`: its stages, `pending`: its sources that have yet to stop, `error`: what went wrong meanwhile."
+  @typedoc """
+  `ids`: its stages, `pending`: its sources that have yet to stop, `error`: what went wrong meanwhile; `forget`: the
+  stages that are removed with it, those that have ended already among them; `waits_for`: the parts with some of those
+  stages that are still being stopped.
+  """
   @type t :: %{
           ids: MapSet.t(State.id()),
           pending: MapSet.t(State.id()),
           final: Situ.Time.t(),
           from: GenServer.from() | nil,
-          forget?: boolean(),
+          forget: [State.id()],
+          waits_for: [reference() | {:unit, String.t()}],
           error: Error.t() | nil
         }
 
   @doc "Begins; `from` is answered when all of it has closed."
   @spec begin(State.t(), reference(), [State.id()], map(), Situ.Time.t()) :: State.t()
   def begin(state, ref, ids, %{catch_up: catch_up, from: from} = opts, final) do
-    ids = MapSet.new(ids)
+    ids = for id <- ids, is_map_key(state.stages, id), into: MapSet.new(), do: id
     sources = for id <- ids, state.stages[id].source?, do: id
     state = act(state, {:cut, MapSet.to_list(ids), final})
 
@@ -34,12 +39,16 @@ defmodule Situ.Lifecycle.PartialStop do
     state = Enum.reduce(ids, state, fn id, state -> change(state, id, &bound(&1, final)) end)
     state = tell(state, sources, {:stop, final})
 
+    forget = Map.get(opts, :forget, [])
+    earlier = for {other, part} <- state.parts, Enum.any?(forget, &(&1 in part.ids)), do: other
+
     part = %{
       ids: ids,
       pending: MapSet.new(sources),
       final: final,
       from: from,
-      forget?: Map.get(opts, :forget?, false),
+      forget: forget,
+      waits_for: earlier,
       error: nil
     }
 
@@ -88,12 +97,17 @@ defmodule Situ.Lifecycle.PartialStop do
   @doc "Every part goes on where nothing is waited for any more."
   @spec go_on(State.t()) :: State.t()
   def go_on(%{parts: parts} = state) when parts == %{}, do: state
-  def go_on(state), do: Enum.reduce(Map.keys(state.parts), state, &step/2)
+
+  def go_on(state) do
+    next = Enum.reduce(Map.keys(state.parts), state, &step/2)
+    # Another one may have waited for a part that has just ended.
+    if map_size(next.parts) < map_size(state.parts), do: go_on(next), else: next
+  end
 
   defp step(ref, state) do
     part = state.parts[ref]
 
-    if MapSet.size(part.pending) > 0 do
+    if waits?(part, state) do
       state
     else
       order = for id <- Enum.sort(part.ids), state.stages[id].open?, do: id
@@ -107,13 +121,16 @@ defmodule Situ.Lifecycle.PartialStop do
     end
   end
 
+  defp waits?(part, state),
+    do: MapSet.size(part.pending) > 0 or Enum.any?(part.waits_for, &is_map_key(state.parts, &1))
+
   defp quit(state, ref, part) do
     ids = MapSet.to_list(part.ids)
     alive = Enum.filter(ids, &state.stages[&1].alive?)
     answer = if part.error, do: {:error, part.error}, else: :ok
     state = state |> tell(alive, :quit) |> act({:reply, part.from, answer})
     state = mark(%{state | parts: Map.delete(state.parts, ref)}, ids, :ended)
-    state = if part.forget?, do: act(state, {:forget, ids}), else: state
+    state = if part.forget == [], do: state, else: act(state, {:forget, part.forget})
     had? = Enum.any?(ids, &state.stages[&1].source?)
     left? = Enum.any?(state.stages, fn {_, m} -> m.source? and m.status == :running end)
     if had? and not left?, do: wish(state, :now, true), else: state

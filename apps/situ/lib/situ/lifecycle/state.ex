@@ -93,6 +93,7 @@ defmodule Situ.Lifecycle.State do
   #   awaited  the sources that have not told their end
   #   parts    what is being stopped alone, by reference: Lifecycle.PartialStop
   #   growths  what is being added, by reference: Lifecycle.Growth
+  #   leaving  removed stages whose processes have ended: Lifecycle.Removal
   #   limits   `{restarts, ms}`: how often in how long a stage may be restarted; `stop_timeout` ms
   alias Situ.Lifecycle.{Ending, Links, Member}
 
@@ -120,6 +121,7 @@ defmodule Situ.Lifecycle.State do
             ending: %Ending{},
             parts: %{},
             growths: %{},
+            leaving: MapSet.new(),
             limits: %{restarts: {3, 5_000}, stop_timeout: 30_000},
             errors: [],
             closed: [],
@@ -136,6 +138,7 @@ defmodule Situ.Lifecycle.State do
           ending: Ending.t(),
           parts: %{(reference() | {:unit, String.t()}) => map()},
           growths: %{reference() => map()},
+          leaving: MapSet.t(id()),
           limits: %{restarts: {non_neg_integer(), pos_integer()}, stop_timeout: pos_integer()},
           errors: [Situ.Error.t()],
           closed: [id()],

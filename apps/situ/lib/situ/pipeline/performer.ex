@@ -47,11 +47,8 @@ defmodule Situ.Pipeline.Performer do
     error = Errors.killed(hd(state.stages[id].vertices).path, reason)
     reached = Stages.reached(state, id)
     state = state |> interrupted(id) |> __MODULE__.apply({:exited, id, error, reached})
-    if Extension.forgotten?(state, id), do: leave(state, id), else: state
+    if Extension.forgotten?(state, id), do: __MODULE__.apply(state, {:left, id}), else: state
   end
-
-  defp leave(state, id),
-    do: __MODULE__.apply(%{state | stages: Map.delete(state.stages, id)}, {:left, id})
 
   @doc "Answers all callers that wait for this stage."
   @spec interrupted(State.t(), pos_integer()) :: State.t()
@@ -125,7 +122,14 @@ defmodule Situ.Pipeline.Performer do
   defp perform({:cut, ids, time}, state), do: Stages.cut(state, ids, time)
 
   defp perform({:lend, tag}, state), do: Extension.lend(state, tag)
-  defp perform({:forget, ids}, state), do: Extension.forget(state, ids)
+  # The others leave when their processes end.
+  defp perform({:forget, ids}, state) do
+    over = Enum.filter(ids, &Stages.over?(state, &1))
+    state |> Extension.forget(ids) |> apply_all(Enum.map(over, &{:left, &1}))
+  end
+
+  defp perform({:drop, id}, state), do: state |> Dynamic.Tap.drop(id) |> Stages.drop(id)
+  defp perform({:unwire, tag}, state), do: Stages.unwire(state, tag)
   defp perform({:release, ids}, state), do: Stages.release(state, ids)
 
   defp perform({:event, event}, state), do: __MODULE__.apply(state, event)

@@ -25,8 +25,21 @@ defmodule Situ.Pipeline.Server do
   @impl true
   def init(_), do: :ignore
 
+  # A start or a stop that fails half way is carried on by nobody.
   @impl true
-  def handle_call(request, from, state), do: guard(state, fn -> answer(request, from, state) end)
+  def handle_call(request, from, state)
+      when request in [:launch, :abandon] or (is_tuple(request) and elem(request, 0) == :stop),
+      do: guard(state, fn -> answer(request, from, state) end)
+
+  # The pipeline does not die of a question, or of a change that it cannot make: it keeps its state, the caller hears
+  # of it.
+  def handle_call(request, from, state) do
+    answer(request, from, state)
+  catch
+    kind, reason ->
+      Logger.error(Exception.format(kind, reason, __STACKTRACE__))
+      {:reply, {:error, Errors.request_failed(request, {kind, reason, __STACKTRACE__})}, state}
+  end
 
   # Nobody has anything to cast; a stray one is no reason to end.
   @impl true
@@ -166,8 +179,8 @@ defmodule Situ.Pipeline.Server do
     do: {:reply, Dynamic.Tap.subscription(state, which), state}
 
   defp running({:stop_part, path, opts}, from, state) do
-    case State.part(state, path) do
-      {:ok, ids} -> apply_event(state, {:stop_part, make_ref(), ids, Map.put(opts, :from, from)})
+    case stop_part(path, opts, from, state) do
+      {:ok, event} -> apply_event(state, event)
       {:error, error} -> {:reply, {:error, error}, state}
     end
   end
@@ -187,6 +200,12 @@ defmodule Situ.Pipeline.Server do
 
   defp running(_request, _from, state), do: {:reply, {:error, Errors.unknown_request()}, state}
 
+  defp stop_part(path, %{catch_up: catch_up, forget?: forget?}, from, state) do
+    with {:ok, %{ids: ids, forget: forget}} <- State.part(state, path, forget?),
+         do:
+           {:ok, {:stop_part, make_ref(), ids, %{catch_up: catch_up, from: from, forget: forget}}}
+  end
+
   defp later(message, state), do: %{state | early: [message | state.early]}
   defp dynamic({state, events}), do: done(Performer.apply_all(state, events))
 
@@ -202,8 +221,8 @@ defmodule Situ.Pipeline.Server do
   defp event(:situ_moving, state), do: apply_event(state, :moving)
 
   defp event({:situ_stop_part, path, opts}, %{life: %{phase: :running}} = state) do
-    case State.part(state, path) do
-      {:ok, ids} -> apply_event(state, {:stop_part, make_ref(), ids, Map.put(opts, :from, nil)})
+    case stop_part(path, opts, nil, state) do
+      {:ok, event} -> apply_event(state, event)
       _ -> {:noreply, state}
     end
   end

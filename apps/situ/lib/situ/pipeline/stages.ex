@@ -170,8 +170,10 @@ defmodule Situ.Pipeline.Stages do
         }
       end
 
+    # A consumer that has taken the closing mark asks for nothing any more, nor does one that is gone.
     subs =
       out_of
+      |> Enum.filter(&is_map_key(state.life.links.active, &1.id))
       |> Enum.sort_by(& &1.id)
       |> Enum.group_by(& &1.output, &{&1.id, state.stages[&1.to].pid, counters[&1.id], &1.policy})
 
@@ -203,17 +205,41 @@ defmodule Situ.Pipeline.Stages do
     state
   end
 
+  @doc "A request to a stage; one that is gone needs none, and who waits for its answer has learned that."
   @spec tell(State.t(), pos_integer(), term()) :: State.t()
   def tell(state, id, request) do
-    if pid = state.stages[id].pid, do: send(pid, {:situ, request})
+    with %{^id => %{pid: pid}} when pid != nil <- state.stages, do: send(pid, {:situ, request})
     state
   end
+
+  @doc "Whether the process of a stage has ended."
+  @spec over?(State.t(), pos_integer()) :: boolean()
+  def over?(state, id) do
+    case state.stages do
+      %{^id => %{pid: pid}} -> not is_map_key(state.pids, pid)
+      _ -> false
+    end
+  end
+
+  @doc "Everything that belongs to a stage which the life cycle does not know any more goes."
+  @spec drop(State.t(), pos_integer()) :: State.t()
+  def drop(state, id) do
+    {stage, stages} = Map.pop(state.stages, id)
+    tags = for {tag, link} <- state.wires.links, link.to == id or link.from == id, do: tag
+    state = Enum.reduce(tags, %{state | stages: stages}, &unwire(&2, &1))
+    %{state | pids: Map.delete(state.pids, stage && stage.pid)}
+  end
+
+  @doc "The same for a connection."
+  @spec unwire(State.t(), term()) :: State.t()
+  def unwire(%{wires: %{links: links, counters: counters}} = state, tag),
+    do: %{state | wires: %{links: Map.delete(links, tag), counters: Map.delete(counters, tag)}}
 
   @doc "These stages ignore messages later than `time`; a stage with an earlier limit keeps it."
   @spec cut(State.t(), [pos_integer()], Situ.Time.t()) :: State.t()
   def cut(state, ids, time) do
     for id <- ids,
-        cell = state.stages[id].control,
+        %{control: cell} <- [state.stages[id]],
         time < :atomics.get(cell, 1),
         do: :atomics.put(cell, 1, time)
 

@@ -9,7 +9,7 @@ defmodule Situ.Pipeline.State do
   #   waiters   who waits for the end; early: messages that wait until it runs
   alias Situ.{Error, Graph, Lifecycle, Options}
   alias Situ.Clock.Timing
-  alias Situ.Lifecycle.Errors
+  alias Situ.Lifecycle.{Errors, Growth}
   alias Situ.Pipeline.{Dynamic, Inspection, Settings}
 
   @enforce_keys [:settings, :life, :view]
@@ -153,35 +153,43 @@ defmodule Situ.Pipeline.State do
     end
   end
 
-  @doc "The running stages below `path`, a composite's or a component's, that are not being stopped already."
-  @spec part(t(), String.t()) :: {:ok, [pos_integer()]} | {:error, Error.t()}
-  def part(state, path) do
-    inside = Enum.filter(state.stages, fn {_, s} -> Enum.any?(s.vertices, &within?(&1, path)) end)
-    alone = for {_, part} <- state.life.parts, id <- part.ids, do: id
+  @typedoc "What is to be stopped: its stages that run, and the stages that are to be forgotten when they have ended."
+  @type part :: %{ids: [pos_integer()], forget: [pos_integer()]}
 
-    running =
-      for {id, stage} <- inside,
-          state.life.stages[id].status in [:running, :closed],
-          state.life.stages[id].alive?,
-          id not in alone,
-          do: stage
+  @doc """
+  The stages below `path`, a composite's or a component's. To be stopped, some must run that are not being stopped
+  already; removed it can be whether any of it runs or not.
+  """
+  @spec part(t(), String.t(), boolean()) :: {:ok, part()} | {:error, Error.t()}
+  def part(state, path, forget?) do
+    inside = for {_, stage} <- state.stages, inside?(stage, path, state.graph), do: stage
+    alone = for {_, part} <- state.life.parts, id <- part.ids, do: id
+    running = Enum.filter(inside, &(running?(&1.id, state) and &1.id not in alone))
+    chosen = if forget?, do: inside, else: running
 
     cond do
       inside == [] -> {:error, unknown_part(state, path)}
-      running == [] -> {:error, ended(path)}
-      true -> whole(running, path)
+      chosen == [] -> {:error, ended(path)}
+      Enum.any?(inside, &Growth.of(state.life, &1.id)) -> {:error, growing(path)}
+      stage = Enum.find(chosen, &shared?(&1, path)) -> {:error, shared(stage, path)}
+      forget? -> {:ok, %{ids: Enum.map(running, & &1.id), forget: Enum.map(inside, & &1.id)}}
+      true -> {:ok, %{ids: Enum.map(running, & &1.id), forget: []}}
     end
+  end
+
+  # A stage that was removed stays until its process has ended; its names may be somebody else's by then.
+  defp inside?(%{vertices: [head | _] = vertices}, path, graph),
+    do: is_map_key(graph.vertices, head.id) and Enum.any?(vertices, &within?(&1, path))
+
+  defp running?(id, %{life: %{stages: stages}}) do
+    %{status: status, alive?: alive?} = stages[id]
+    alive? and status in [:running, :closed]
   end
 
   defp within?(vertex, path),
     do: vertex.path == path or String.starts_with?(vertex.path, path <> ".")
 
-  defp whole(stages, path) do
-    case Enum.find(stages, fn s -> not Enum.all?(s.vertices, &within?(&1, path)) end) do
-      nil -> {:ok, Enum.map(stages, & &1.id)}
-      stage -> {:error, shared(stage, path)}
-    end
-  end
+  defp shared?(stage, path), do: not Enum.all?(stage.vertices, &within?(&1, path))
 
   defp unknown_part(state, path) do
     near = Options.nearest(path, Map.keys(state.graph.scopes) ++ Map.keys(state.graph.paths))
@@ -191,7 +199,17 @@ defmodule Situ.Pipeline.State do
     )
   end
 
-  defp ended(path), do: Error.new(:not_running, "#{path} has ended, or is being stopped")
+  defp ended(path) do
+    Error.new(:not_running, "#{path} has ended, or is being stopped",
+      fix: "take it out of the pipeline with Situ.Pipeline.remove/3"
+    )
+  end
+
+  defp growing(path) do
+    Error.new(:not_running, "#{path} is still being added",
+      fix: "wait until Situ.Pipeline.extend/2 has returned"
+    )
+  end
 
   defp inside(path) do
     Error.new(

@@ -37,7 +37,10 @@ defmodule Situ.LifecycleTest do
       {:fail, integer(1, 10)},
       {:refuse, integer(1, 10)},
       {:part, list(integer(1, 10))},
+      {:remove, list(one_of([integer(1, 10), integer(100, 104)]))},
       {:grow, one_of([:stop, :restart])},
+      {:tap, integer(0, 1)},
+      :untap,
       :moving
     ])
   end
@@ -54,6 +57,27 @@ defmodule Situ.LifecycleTest do
       assert world.bag == []
       assert Enum.count(world.log, &(&1 == {:action, :finished})) == 1
       assert Enum.count(world.log, &(&1 == {:action, {:handle, :completed}})) == 1
+    end
+  end
+
+  # `{:refuse, id}` and `{:kill, id}` of what is added: the world numbers it from 100.
+  property "the server is told to do nothing with a stage that it has dropped, and drops all that were removed",
+    numtests: 400 do
+    changes = [
+      {:remove, list(one_of([integer(1, 10), integer(100, 104)]))},
+      {:grow, :restart},
+      {:part, list(integer(1, 10))},
+      {:tap, 1},
+      :untap,
+      {:kill, integer(100, 104)},
+      {:refuse, integer(100, 104)}
+    ]
+
+    forall {spec, wishes, seed} <- {graph(), list(one_of(changes)), integer(1, 1_000_000)} do
+      world = World.live(made(spec), [{:stop, 3} | wishes], seed)
+      assert world.life.phase == :completed
+      assert MapSet.new(Map.keys(world.life.stages)) == world.entries
+      for id <- world.forgotten, id not in world.alive, do: assert(id not in world.entries)
     end
   end
 

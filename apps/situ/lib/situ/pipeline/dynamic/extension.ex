@@ -53,17 +53,19 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   end
 
   @doc """
-  These stages were removed: nothing in the graph names them any more. They are dropped once their processes have
-  ended.
+  These stages were removed: nothing in the graph names them any more. The life cycle lets go of each once its process
+  has ended.
   """
   @spec forget(State.t(), [pos_integer()]) :: State.t()
   def forget(state, ids) do
-    gone = for id <- ids, vertex <- state.stages[id].vertices, into: MapSet.new(), do: vertex.id
-    graph = Extension.without(state.graph, gone)
-    kept? = fn {_, link} -> link.to not in ids and link.from not in ids end
-    links = state.wires.links |> Enum.filter(kept?) |> Map.new()
-    counters = Map.drop(state.wires.counters, Map.keys(state.wires.links) -- Map.keys(links))
-    %{state | graph: graph, wires: %{links: links, counters: counters}}
+    gone =
+      for id <- ids,
+          %{vertices: vertices} <- [state.stages[id]],
+          vertex <- vertices,
+          into: MapSet.new(),
+          do: vertex.id
+
+    %{state | graph: Extension.without(state.graph, gone)}
   end
 
   @doc "Whether a stage was removed and its process has ended."

@@ -114,7 +114,13 @@ defmodule Situ.Pipeline.Dynamic.Input do
     edges = Map.put(state.graph.edges, tag, edge)
     state = %{state | graph: %{state.graph | edges: edges, next_edge: tag + 1}}
     state = wire(state, &%{&1 | counters: Map.put(&1.counters, tag, counters)})
-    ask(state, tag, %{from: from, stages: [source.id], link: link, request: asked.request})
+
+    ask(state, tag, %{
+      from: from,
+      stages: [source.id, taker.id],
+      link: link,
+      request: asked.request
+    })
   end
 
   defp ask(state, ref, asked),
@@ -163,15 +169,17 @@ defmodule Situ.Pipeline.Dynamic.Input do
   defp added(vertex, link),
     do: vertex.inputs ++ [{link.input, %{type: :any, optional: true}}]
 
-  # The first vertex of a stage, in the graph and in what a restart begins with.
+  # The first vertex of a stage, in what a restart begins with and in the graph, if it has not been removed from there.
   defp change(state, id, fun) do
     stage = Map.fetch!(state.stages, id)
     [head | rest] = stage.vertices
-    head = fun.(head)
-    vertices = Map.put(state.graph.vertices, head.id, head)
-    stages = Map.put(state.stages, id, %{stage | vertices: [head | rest]})
+    vertices = replace(state.graph.vertices, head.id, fun.(head))
+    stages = Map.put(state.stages, id, %{stage | vertices: [fun.(head) | rest]})
     %{state | graph: %{state.graph | vertices: vertices}, stages: stages}
   end
+
+  defp replace(map, key, value) when is_map_key(map, key), do: %{map | key => value}
+  defp replace(map, _key, _value), do: map
 
   defp refused(state, ref, error) do
     case Map.pop(state.dynamic.inputs, ref) do
@@ -190,13 +198,8 @@ defmodule Situ.Pipeline.Dynamic.Input do
     {forget(state, link.id), [{:unlinked, link.id}]}
   end
 
-  defp forget(state, tag) do
-    state = %{state | graph: %{state.graph | edges: Map.delete(state.graph.edges, tag)}}
-
-    wire(state, fn wires ->
-      %{links: Map.delete(wires.links, tag), counters: Map.delete(wires.counters, tag)}
-    end)
-  end
+  defp forget(state, tag),
+    do: %{state | graph: %{state.graph | edges: Map.delete(state.graph.edges, tag)}}
 
   defp fixed(vertex) do
     Error.new(:fixed_inputs, "#{vertex.path} takes no inputs while it runs",

@@ -43,11 +43,9 @@ defmodule Situ.Pipeline.Dynamic.Tap do
       %{^id => tap} ->
         Process.demonitor(tap.monitor, [:flush])
 
-        if is_map_key(state.stages, tap.source),
-          do: Stages.tell(state, tap.source, {:untap, tap.tag})
-
+        Stages.tell(state, tap.source, {:untap, tap.tag})
         Stages.tell(state, id, :quit)
-        {forget(state, id, tap), [{:unlinked, tap.tag}, {:left, id}]}
+        {forget(state, id, tap), [{:left, id}]}
 
       _ ->
         {state, []}
@@ -161,33 +159,30 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   end
 
   defp put(state, id, tap),
-    do: %{state | dynamic: %{state.dynamic | taps: Map.put(state.dynamic.taps, id, tap)}}
+    do: %{state | dynamic: taps(state.dynamic, &Map.put(&1, id, tap))}
 
+  # Its name is free; what else belongs to its stage stays until the life cycle has let it go.
   defp forget(state, id, tap) do
-    name = state.graph.vertices[id].path
+    {vertex, vertices} = Map.pop(state.graph.vertices, id)
 
     graph = %{
       state.graph
-      | vertices: Map.delete(state.graph.vertices, id),
+      | vertices: vertices,
         edges: Map.delete(state.graph.edges, tap.tag),
-        paths: Map.delete(state.graph.paths, name)
+        paths: Map.delete(state.graph.paths, vertex && vertex.path)
     }
 
-    {stage, stages} = Map.pop(state.stages, id)
-    wires = state.wires
-
-    %{
-      state
-      | graph: graph,
-        stages: stages,
-        pids: Map.delete(state.pids, stage.pid),
-        wires: %{
-          links: Map.delete(wires.links, tap.tag),
-          counters: Map.delete(wires.counters, tap.tag)
-        },
-        dynamic: %{state.dynamic | taps: Map.delete(state.dynamic.taps, id)}
-    }
+    %{state | graph: graph, dynamic: taps(state.dynamic, &Map.delete(&1, id))}
   end
+
+  @doc "A stage is dropped: if it is a tap's, nothing is left of the tap."
+  @spec drop(State.t(), pos_integer()) :: State.t()
+  def drop(%{dynamic: %{taps: taps} = dynamic} = state, id) do
+    with %{^id => %{monitor: monitor}} <- taps, do: Process.demonitor(monitor, [:flush])
+    %{state | dynamic: taps(dynamic, &Map.delete(&1, id))}
+  end
+
+  defp taps(dynamic, change), do: %{dynamic | taps: change.(dynamic.taps)}
 
   defp unique(graph, name) do
     Stream.iterate(2, &(&1 + 1))
