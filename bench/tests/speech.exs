@@ -121,9 +121,9 @@ defmodule Situ.Bench.Speech do
     try do
       file = Path.join(folder, "questions.wav")
       :ok = Wav.write(file, questions(count))
-      {before, _} = :erlang.statistics(:runtime)
+      before = Situ.Bench.cpu_us()
       delays = talk(file, folder)
-      spent = elem(:erlang.statistics(:runtime), 0) - before
+      spent = (Situ.Bench.cpu_us() - before) / 1_000
 
       if length(delays) < count,
         do: raise("#{length(delays)} of #{count} questions were answered")
