@@ -8,6 +8,9 @@ export SITU_ROOT
 SITU_STATE="$SITU_ROOT/.situ"
 NPM_MARK=node_modules/.package-lock.json
 
+# Whoever may set these decides which code a virtual machine loads: they are for mix and iex, which do not come by here.
+unset ERL_LIBS ERL_FLAGS ERL_AFLAGS ERL_ZFLAGS ERL_COMPILER_OPTIONS ERL_INETRC ERL_ROOTDIR ELIXIR_ERL_OPTIONS "${!ERL_OTP@}"
+
 # Elixir wants a UTF-8 locale; a bare machine has none set.
 case "${LC_ALL:-${LC_CTYPE:-${LANG:-}}}" in
   *UTF-8* | *utf8* | *utf-8*) ;;
@@ -95,24 +98,41 @@ build_prod() {
 
 # elixir_prod ARGS...: runs elixir on the production build, without mix. Ctrl-C ends it, with the status people expect (130).
 # elixir_plain: the same without the flags of a release.
-elixir_prod() { elixir_with "$(grep '^[+-]' "$SITU_ROOT/rel/vm.args.eex" | tr '\n' ' ')" "$@"; }
+elixir_prod() { elixir_with "$(release_flags)" "$@"; }
 elixir_plain() { elixir_with "" "$@"; }
+release_flags() { grep '^[+-]' "$SITU_ROOT/rel/vm.args.eex" | tr '\n' ' '; }
 
 elixir_with() {
-  local yaws flags=$1
+  local flags=$1 colours=
   shift
-  yaws=$(ls -d /usr/lib/yaws-*/ebin 2>/dev/null | head -n 1 || true)
-  exec elixir --erl "+Bd $flags" ${yaws:+-pa "$yaws"} -pa "$SITU_ROOT/_build/prod/lib/*/ebin" "$@"
+  if [ -t 1 ] && [ -t 2 ] && [ -z "${NO_COLOR:-}" ]; then colours="-elixir ansi_enabled true"; fi
+  start_vm "$flags $colours" -s elixir start_cli -extra "$@"
 }
 
 # situ_prod ARGS...: the command line itself, started by erl: elixir's own start refuses arguments that are no UTF-8, which names of
 # files may be.
-situ_prod() {
-  local elixir yaws flags
+situ_prod() { start_vm "$(release_flags)" -s Elixir.Situ.CLI start -extra "$@"; }
+
+# start_vm FLAGS ARGS...: becomes a virtual machine with the production build, of which nothing is loaded from the current folder.
+#
+# Erlang's code server always begins with "." in its path, and looks there for the modules of its own start. So the
+# machine starts in a folder of this checkout, takes "." out of its path before anything else runs, and only then
+# enters the caller's folder: by a handle, since its name may be no UTF-8. Without .erlang (no_dot_erlang).
+start_vm() {
+  local elixir yaws folder flags=$1 here=$PWD
+  shift
   elixir=$(dirname "$(dirname "$(readlink -f "$(command -v elixir)")")")
   yaws=$(ls -d /usr/lib/yaws-*/ebin 2>/dev/null | head -n 1 || true)
-  flags=$(grep '^[+-]' "$SITU_ROOT/rel/vm.args.eex" | tr '\n' ' ')
+  # A folder that may be entered but not listed has no handle, and is entered by its name.
+  if { exec {folder}<.; } 2>/dev/null && [ -d "/dev/fd/$folder/" ]; then folder=/dev/fd/$folder; else folder=$here; fi
+  cd "$SITU_ROOT/bin/lib"
+  # A dump holds everything the machine knows, tokens and recordings too: none is written, unless ERL_CRASH_DUMP names it.
+  [ -n "${ERL_CRASH_DUMP:-}" ] || export ERL_CRASH_DUMP_SECONDS=0
+  # Standard output is for what was asked for: warnings of Erlang's and of Elixir's logger go to standard error.
+  local erlang_log='[{handler,default,logger_std_h,#{config=>#{type=>standard_error}}}]'
   # shellcheck disable=SC2086
-  exec erl -noshell +Bd $flags -pa "$elixir"/lib/*/ebin ${yaws:+"$yaws"} "$SITU_ROOT"/_build/prod/lib/*/ebin \
-    -s Elixir.Situ.CLI start -extra "$@"
+  exec erl -boot no_dot_erlang -noshell +Bd $flags \
+    -pa "$elixir"/lib/*/ebin ${yaws:+"$yaws"} "$SITU_ROOT"/_build/prod/lib/*/ebin \
+    -kernel logger "$erlang_log" -logger console '[{device,standard_error}]' \
+    -run code del_path . -run file set_cwd / -run file set_cwd "$folder" "$@"
 }
