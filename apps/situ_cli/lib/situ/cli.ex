@@ -89,10 +89,21 @@ defmodule Situ.CLI do
 
   # A verb finds wrong what its table alone cannot say.
   defp ran(verb, arguments, options) do
+    Enum.each(
+      [:situ_examples | Application.spec(:situ_cli, :applications) || []],
+      &list_modules/1
+    )
+
     if hd(verb.words) in @extended, do: Plugin.load([])
     verb.run.(arguments, options)
   catch
     :throw, {:usage, why} -> wrong(verb, why)
+  end
+
+  # Recordings may hold the structs of every application of Situ, and only of those that are loaded.
+  defp list_modules(app) do
+    if String.starts_with?(to_string(app), "situ") and Application.load(app) == :ok,
+      do: Enum.each(Application.spec(app, :applications), &list_modules/1)
   end
 
   defp wrong(verb, why) do

@@ -32,10 +32,10 @@ defmodule Situ.Codec do
 
   @optional_callbacks points: 2
 
-  @doc "Whether `module` is loaded, defines a struct and implements this behaviour."
+  @doc "Returns whether `module` is a known module (`Situ.KnownModules`) that implements this behaviour."
   @spec implemented_by?(module()) :: boolean()
   def implemented_by?(module) when is_atom(module) do
-    Code.ensure_loaded?(module) and function_exported?(module, :codec_name, 0) and
+    Situ.KnownModules.load?(module) and function_exported?(module, :codec_name, 0) and
       function_exported?(module, :encode, 1) and function_exported?(module, :decode, 1)
   end
 end

@@ -116,5 +116,5 @@ defmodule Situ.Type do
   def to_string(t), do: inspect(t)
 
   defp struct?(module),
-    do: Code.ensure_loaded?(module) and function_exported?(module, :__struct__, 0)
+    do: Situ.KnownModules.load?(module) and function_exported?(module, :__struct__, 0)
 end

@@ -29,10 +29,12 @@ defmodule Situ.Store.Codecs do
   defp named(nil, _name), do: nil
 
   defp named(module_name, name) do
-    module = String.to_existing_atom(module_name)
-    if Situ.Codec.implemented_by?(module) and module.codec_name() == name, do: module
-  rescue
-    ArgumentError -> nil
+    with {:ok, module} <- Situ.KnownModules.fetch(module_name),
+         true <- Situ.Codec.implemented_by?(module) and module.codec_name() == name do
+      module
+    else
+      _ -> nil
+    end
   end
 
   defp names, do: :persistent_term.get(@key, %{})

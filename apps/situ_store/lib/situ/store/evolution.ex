@@ -107,7 +107,7 @@ defmodule Situ.Store.Evolution do
   defp convert(_module, other), do: other
 
   defp struct_module?(type) do
-    is_atom(type) and Code.ensure_loaded?(type) and function_exported?(type, :__struct__, 0)
+    is_atom(type) and Situ.KnownModules.load?(type) and function_exported?(type, :__struct__, 0)
   end
 
   defp other(info, type) do

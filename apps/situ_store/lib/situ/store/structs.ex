@@ -3,37 +3,16 @@ defmodule Situ.Store.Structs do
   # Structs of modules that are in this system but that nobody has loaded yet. Their atoms come with their modules;
   # those of values are looked for in the other modules of the same applications. So a struct is one from the first
   # read on.
-  alias Situ.Store.TypeName
+  alias Situ.KnownModules
 
   @doc "Loads the modules of these names that are in this system; whether there is any."
   @spec load([String.t()]) :: boolean()
   def load(names), do: names |> Enum.map(&find/1) |> Enum.any?()
 
-  # Modules found nowhere are remembered by the process that reads: every message of a foreign stream asks for the
-  # same few.
-  defp find(name) do
-    absent = Process.get({__MODULE__, :absent}, %{})
+  defp find("Elixir." <> _ = name),
+    do: with({:ok, module} <- KnownModules.fetch(name), do: module, else: (:error -> nil))
 
-    cond do
-      is_map_key(absent, name) -> loaded(name)
-      module = TypeName.load(name) -> module
-      true -> forget(name, absent)
-    end
-  end
-
-  defp forget(name, absent) do
-    absent = if map_size(absent) < 1_000, do: absent, else: %{}
-    Process.put({__MODULE__, :absent}, Map.put(absent, name, []))
-    nil
-  end
-
-  # It may have been compiled since.
-  defp loaded(name) do
-    module = String.to_existing_atom(name)
-    if Code.ensure_loaded?(module), do: module
-  rescue
-    ArgumentError -> nil
-  end
+  defp find(_name), do: nil
 
   @doc "Loads every module of the applications these structs belong to; whether there was anything to load."
   @spec load_all([String.t()]) :: boolean()

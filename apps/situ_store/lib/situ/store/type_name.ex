@@ -10,9 +10,8 @@ defmodule Situ.Store.TypeName do
       :error
       iex> Situ.Store.TypeName.read("File.rm_rf!(:x)")
       :error
-      iex> {Situ.Store.TypeName.load("Elixir.Situ.Store"), Situ.Store.TypeName.load("Elixir." <> <<255>>)}
-      {Situ.Store, nil}
   """
+  alias Situ.KnownModules
 
   @spec write(Situ.Type.t()) :: String.t()
   def write(type), do: inspect(type, limit: :infinity)
@@ -39,6 +38,8 @@ defmodule Situ.Store.TypeName do
 
   def read(_), do: :error
 
+  # A module is written as an alias (`:"Elixir.My.Pose"` is another spelling of it).
+  defp literal({:"$name", "Elixir." <> _ = name}), do: KnownModules.fetch(name)
   defp literal({:"$name", name}), do: existing(name)
 
   defp literal(value) when is_atom(value) or is_number(value) or is_binary(value),
@@ -46,7 +47,7 @@ defmodule Situ.Store.TypeName do
 
   defp literal({:__aliases__, _, parts}) do
     if Enum.all?(parts, &match?({:"$name", _}, &1)),
-      do: module("Elixir." <> Enum.map_join(parts, ".", &elem(&1, 1))),
+      do: KnownModules.fetch("Elixir." <> Enum.map_join(parts, ".", &elem(&1, 1))),
       else: :error
   end
 
@@ -60,30 +61,6 @@ defmodule Situ.Store.TypeName do
     {:ok, String.to_existing_atom(name)}
   rescue
     ArgumentError -> :error
-  end
-
-  @doc "The module of this full name (`\"Elixir.My.Pose\"`), loaded, or `nil` when there is none in this system."
-  @spec load(String.t()) :: module() | nil
-  def load("Elixir." <> _ = name) do
-    with {:ok, module} <- module(name), true <- Code.ensure_loaded?(module) do
-      module
-    else
-      _ -> nil
-    end
-  end
-
-  def load(_name), do: nil
-
-  # A module that is there but not loaded yet has no atom either; there are only so many of these.
-  defp module(name) do
-    known = existing(name)
-
-    cond do
-      known != :error -> known
-      not String.valid?(name) or name =~ "/" -> :error
-      :code.where_is_file(String.to_charlist(name <> ".beam")) == :non_existing -> :error
-      true -> {:ok, String.to_atom(name)}
-    end
   end
 
   defp tuple(elements) do

@@ -11,6 +11,51 @@ defmodule Situ.Store.StructsTest do
       atom.(field)::binary, 97, value>>
   end
 
+  # As a release or Mix makes an application of them.
+  defp list_modules(modules) do
+    app = :"later_app_#{System.unique_integer([:positive])}"
+    spec = {:application, app, vsn: '1', modules: modules, applications: [], registered: []}
+    :ok = :application.load(spec)
+    on_exit(fn -> Application.unload(app) end)
+  end
+
+  test "a recording does not choose which code is loaded", %{tmp_dir: root} do
+    n = System.unique_integer([:positive])
+    source = Path.join(root, "evil.ex")
+    mark = Path.join(root, "ran")
+
+    File.write!(source, """
+    defmodule Evil#{n} do
+      @on_load :run
+      defstruct [:evil_#{n}]
+      def run, do: File.write(#{inspect(mark)}, "")
+    end
+    """)
+
+    # Compiling runs it too, in that system.
+    {_, 0} = System.cmd("elixirc", ["-o", root, source])
+    File.rm(mark)
+    true = Code.prepend_path(root)
+    name = "Elixir.Evil#{n}"
+    term = struct_term(name, "evil_#{n}", 5)
+
+    # Neither a name nobody has heard of nor one that is known as an atom makes a file of the code path be loaded.
+    for store <- ["unknown", "known"] do
+      assert %{"__struct__" => ^name} = Situ.Store.Test.Raw.decode(Path.join(root, store), term)
+      _ = Situ.Store.TypeName.read("Evil#{n}")
+      _ = Situ.Store.TypeName.read("{:list, Evil#{n}}")
+
+      module =
+        if store == "unknown", do: String.to_atom(name), else: String.to_existing_atom(name)
+
+      refute Situ.Type.accepts?(:map, module)
+      refute Situ.Codec.implemented_by?(module)
+      refute File.exists?(mark)
+    end
+
+    Code.delete_path(root)
+  end
+
   test "a struct whose module is there but was not loaded yet is the struct", %{tmp_dir: root} do
     n = System.unique_integer([:positive])
     name = "Elixir.LoadedLater#{n}"
@@ -26,6 +71,7 @@ defmodule Situ.Store.StructsTest do
     # An application's list of modules names it, as a release's does.
     module = String.to_atom(name)
     true = Code.append_path(root)
+    list_modules([module])
     assert decoded = Situ.Store.Test.Raw.decode(Path.join(root, "b"), term)
     assert %{__struct__: ^module} = decoded
     assert Map.values(Map.from_struct(decoded)) == [5]
@@ -61,6 +107,7 @@ defmodule Situ.Store.StructsTest do
         binary_part(inner, 1, byte_size(inner) - 1)::binary>>
 
     true = Code.append_path(root)
+    list_modules([:"Elixir.Outer#{n}", :"Elixir.Inner#{n}"])
     assert %module{} = decoded = Situ.Store.Test.Raw.decode(Path.join(root, "n"), outer)
     assert inspect(module) == "Outer#{n}"
     assert [%nested{} = deep] = Map.values(Map.from_struct(decoded))

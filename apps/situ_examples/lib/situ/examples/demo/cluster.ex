@@ -167,10 +167,11 @@ defmodule Situ.Examples.Demo.Cluster do
   # A node: an OS process with the code of this one, connected to the others alone.
   defp node(name, cookie) do
     port = free_port()
-    paths = Enum.flat_map(:code.get_path(), &[~c"-pa", &1])
+    paths = for path <- :code.get_path(), path != ~c".", arg <- [~c"-pa", path], do: arg
 
     args =
-      paths ++
+      [~c"-boot", ~c"no_dot_erlang"] ++
+        paths ++
         [~c"-setcookie", to_charlist(cookie), ~c"-start_epmd", ~c"false"] ++
         [~c"-epmd_module", ~c"Elixir.Situ.Cluster.Epmd", ~c"+sbwt", ~c"none"] ++
         [~c"-kernel", ~c"inet_dist_use_interface", ~c"{127,0,0,1}"] ++
@@ -189,15 +190,25 @@ defmodule Situ.Examples.Demo.Cluster do
         host: ~c"127.0.0.1",
         longnames: true,
         connection: :standard_io,
+        exec: erlang(),
         args: args,
         wait_boot: 120_000
       })
 
+    :peer.call(peer, :code, :del_path, [~c"."])
     {:ok, _} = :peer.call(peer, :application, :ensure_all_started, [:elixir], 60_000)
     pid = :peer.call(peer, :os, :getpid, [], 60_000) |> to_string()
     started = %{peer: peer, name: node, pid: pid}
     Process.put(:nodes, [{name, started} | Process.get(:nodes)])
     started
+  end
+
+  # Erlang looks for the modules of its start in the current folder: that is one of ours until "." is out of its path.
+  defp erlang do
+    erl = System.find_executable("erl") || Path.join([:code.root_dir(), "bin", "erl"])
+    folder = Path.join(to_string(:code.priv_dir(:situ_examples)), "demo")
+    start = ["-c", ~S(cd "$0" && erl=$1 && shift && exec "$erl" "$@"), folder, erl]
+    {~c"/bin/sh", Enum.map(start, &to_charlist/1)}
   end
 
   defp call(node, module, function, args),

@@ -30,7 +30,7 @@ defmodule Situ.Store.Summary.Bins do
   def points(%{data: false} = message), do: points(%{message | data: 0})
 
   def points(%{data: %module{} = data, originating_time: time}) do
-    if Code.ensure_loaded?(module) and function_exported?(module, :points, 2),
+    if Situ.Codec.implemented_by?(module) and function_exported?(module, :points, 2),
       do: module.points(data, time),
       else: []
   end

@@ -39,7 +39,7 @@ defmodule Situ.Studio.Source.Store do
   end
 
   # Field names are atoms that exist once their struct's module is loaded, and a reader makes no atoms.
-  defp load(type) when is_atom(type), do: Code.ensure_loaded(type)
+  defp load(type) when is_atom(type), do: Situ.KnownModules.load?(type)
   defp load(type) when is_tuple(type), do: type |> Tuple.to_list() |> Enum.each(&load/1)
   defp load(types) when is_list(types), do: Enum.each(types, &load/1)
   defp load(_), do: :ok

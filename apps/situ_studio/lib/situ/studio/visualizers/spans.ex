@@ -75,7 +75,7 @@ defmodule Situ.Studio.Visualizers.Spans do
   def struct?(Interval), do: true
 
   def struct?(module) do
-    Code.ensure_loaded?(module) and function_exported?(module, :__struct__, 0) and
+    Situ.KnownModules.load?(module) and function_exported?(module, :__struct__, 0) and
       bounded?(Map.keys(module.__struct__()))
   end
 

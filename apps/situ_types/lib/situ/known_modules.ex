@@ -1,0 +1,29 @@
+defmodule Situ.KnownModules do
+  @moduledoc """
+  The modules that a name from outside may mean: a recording, a peer, a file.
+
+  These are the modules that are loaded already, and those that a loaded application lists as its own. A name is never
+  looked for as a file, so that nobody can have a `.beam` of their choice loaded, and never becomes an atom.
+
+      iex> Situ.KnownModules.fetch("Elixir.Situ.Message")
+      {:ok, Situ.Message}
+      iex> {Situ.KnownModules.fetch("Elixir.Never.Heard.Of"), Situ.KnownModules.fetch(<<255>>)}
+      {:error, :error}
+  """
+
+  @doc "Returns the module of this full name (`\"Elixir.My.Pose\"`), loaded, or `:error` if this system has none."
+  @spec fetch(String.t()) :: {:ok, module()} | :error
+  def fetch(name) do
+    module = String.to_existing_atom(name)
+    if load?(module), do: {:ok, module}, else: :error
+  rescue
+    ArgumentError -> :error
+  end
+
+  @doc "Loads a module that a loaded application lists, and says whether the module is loaded."
+  @spec load?(module()) :: boolean()
+  def load?(module) when is_atom(module) do
+    :erlang.module_loaded(module) or
+      (Application.get_application(module) != nil and Code.ensure_loaded?(module))
+  end
+end
