@@ -11,17 +11,13 @@ defmodule Situ.CLI.Input do
   @doc "In a file of its own for as long as `work` takes, that may read it twice."
   @spec spooled((Path.t() -> result)) :: result when result: term()
   def spooled(work) do
-    name = "situ-input-#{System.pid()}-#{System.unique_integer([:positive])}"
-    path = Path.join(System.tmp_dir!(), name)
-
-    try do
+    Situ.Scratch.with_folder("input", fn folder ->
+      path = Path.join(folder, "input")
       {:ok, file} = :file.open(path, [:write, :raw, :binary, :exclusive])
       Enum.each(parts(), &(:ok = :file.write(file, &1)))
       :ok = :file.close(file)
       work.(path)
-    after
-      File.rm(path)
-    end
+    end)
   end
 
   # Bytes, whatever text they are: as text it would have to be UTF-8.

@@ -43,7 +43,7 @@ defmodule Situ.Live.Yaws do
     settings = [
       keepalive_timeout: @idle_ms,
       max_connections: @max_connections,
-      logdir: String.to_charlist(System.tmp_dir!()),
+      logdir: folder(),
       process_options: [max_heap_size: @head_heap],
       flags: [copy_errlog: false, fail_on_bind_err: false]
     ]
@@ -61,8 +61,7 @@ defmodule Situ.Live.Yaws do
   # uses
   # the module it has.
   defp without_generated_code(fun) do
-    name = "situ-" <> Base.url_encode64(:crypto.strong_rand_bytes(12), padding: false)
-    home = Path.join(System.tmp_dir!(), name)
+    home = Error.unwrap!(Situ.Scratch.create("yaws"))
     before = System.get_env("YAWSHOME")
     File.mkdir_p!(Path.join(home, ".yaws/yaws/situ/yaws_dynopts.erl"))
     System.put_env("YAWSHOME", home)
@@ -71,7 +70,7 @@ defmodule Situ.Live.Yaws do
       fun.()
     after
       if before, do: System.put_env("YAWSHOME", before), else: System.delete_env("YAWSHOME")
-      File.rm_rf!(home)
+      Situ.Scratch.remove(home)
     end
   end
 
@@ -120,7 +119,7 @@ defmodule Situ.Live.Yaws do
       ] ++ tls_options(tls)
 
     with :ok <- load(),
-         sconf = :yaws.create_sconf(String.to_charlist(System.tmp_dir!()), options),
+         sconf = :yaws.create_sconf(folder(), options),
          :ok <- check_free(ip, port) do
       case :gen_server.call(:yaws_server, {:add_sconf, -1, sconf}, 90_000) do
         {:ok, ^sconf} -> {:error, port_error(port, :eaddrinuse)}
@@ -129,6 +128,9 @@ defmodule Situ.Live.Yaws do
       end
     end
   end
+
+  # Yaws wants folders for files and logs; it is told to serve and to write none.
+  defp folder, do: String.to_charlist(Application.app_dir(:situ_live, "ebin"))
 
   @doc "Closes a port. Yaws takes a second for it, and up to a minute while requests are being answered."
   @spec remove(term()) :: :ok
@@ -200,7 +202,7 @@ defmodule Situ.Live.Yaws do
       nil ->
         {:error,
          Error.new(:no_web_server, "the web server Yaws is not installed",
-           fix: "install the package erlang-yaws, or set ERL_LIBS to the folder that holds it"
+           fix: "install the package erlang-yaws, or put its folder beside Erlang's own"
          )}
 
       ebin ->

@@ -6,6 +6,8 @@ defmodule Situ.Store.Volatile do
   disk.
   """
 
+  alias Situ.{Error, Scratch}
+
   @doc "The folder of this system's stores in memory."
   @spec root() :: Path.t()
   def root do
@@ -18,18 +20,20 @@ defmodule Situ.Store.Volatile do
   @doc "The newest store in memory of this name, in any running system, or `nil`."
   @spec find(String.t()) :: Path.t() | nil
   def find(name) do
-    base()
-    |> Path.join("*")
-    |> Path.wildcard()
+    # A folder of that name that another user has put there is not looked into.
+    folders = if Scratch.claim(base()) == :ok, do: Path.wildcard(Path.join(base(), "*")), else: []
+
+    folders
     |> Enum.map(&Situ.Store.Folder.newest(name, &1))
     |> Enum.reject(&is_nil/1)
     |> Enum.max_by(&File.stat!(&1, time: :posix).mtime, fn -> nil end)
   end
 
   defp make do
+    Error.unwrap!(Scratch.claim(base()))
     sweep()
     root = Path.join(base(), "#{System.pid()}")
-    File.mkdir_p!(root)
+    Error.unwrap!(Scratch.claim(root))
     :persistent_term.put(__MODULE__, root)
     root
   end

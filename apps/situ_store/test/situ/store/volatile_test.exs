@@ -22,4 +22,24 @@ defmodule Situ.Store.VolatileTest do
     assert File.dir?(other)
     File.rmdir!(other)
   end
+
+  @tag :tmp_dir
+  test "a folder that somebody else has put in its place is not looked into", %{tmp_dir: root} do
+    user = System.get_env("USER")
+    name = "foreign-#{System.unique_integer([:positive])}"
+    link = Path.join("/dev/shm", "situ-#{name}")
+
+    on_exit(fn ->
+      File.rm(link) && if(user, do: System.put_env("USER", user), else: System.delete_env("USER"))
+    end)
+
+    {:ok, writer} = Situ.Store.Writer.create("notes", Path.join(root, "1"))
+    :ok = Situ.Store.Writer.close(writer)
+
+    if File.dir?("/dev/shm") do
+      System.put_env("USER", name)
+      File.ln_s!(root, link)
+      assert Situ.Store.Volatile.find("notes") == nil
+    end
+  end
 end

@@ -189,21 +189,13 @@ defmodule Situ.CLI.Store.Importing do
 
   # A table is no recording: it becomes one on the way.
   defp through_store(path, out, opts) do
-    root =
-      Path.join(
-        System.tmp_dir!(),
-        "situ-convert-#{System.pid()}-#{System.unique_integer([:positive])}"
-      )
-
-    try do
+    Situ.Scratch.with_folder("convert", fn root ->
       format = table(Tables.format(path), opts)
 
       case import_named([{Tables.name(path), path, format}], Path.join(root, "t")) do
         {:ok, store, _} -> Saving.save(%{path: store, file: out}, opts)
         {:error, %Error{} = error} -> raise error
       end
-    after
-      File.rm_rf(root)
-    end
+    end)
   end
 end

@@ -24,7 +24,7 @@ defmodule Situ.Examples.Demo.Cluster do
   """
   alias Situ.Examples.Demo.Options
   alias Situ.Examples.MultimodalVoiceActivity
-  alias Situ.{Cluster, Store}
+  alias Situ.{Cluster, Error, Store}
 
   @parts %{"lips" => "MouthShape", "sound" => "VoiceActivity", "recording" => "rest"}
   @minutes 10
@@ -70,12 +70,7 @@ defmodule Situ.Examples.Demo.Cluster do
   end
 
   defp demo(input, out, kill, record) do
-    log =
-      Path.join(
-        System.tmp_dir!(),
-        "situ-demo-#{System.unique_integer([:positive])}-#{System.pid()}"
-      )
-
+    log = Error.unwrap!(Situ.Scratch.create("demo"))
     Process.put(:nodes, [])
 
     try do
@@ -87,7 +82,7 @@ defmodule Situ.Examples.Demo.Cluster do
       |> told()
     after
       for {_, node} <- Process.get(:nodes), do: kill(node)
-      File.rm_rf(log)
+      Situ.Scratch.remove(log)
     end
   end
 

@@ -140,24 +140,14 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   @spec transcribe(t(), Situ.AudioBuffer.t()) ::
           {:ok, Situ.Infer.Speech.Recognizer.result()} | {:error, Error.t()}
   def transcribe(%__MODULE__{} = sphinx, buffer) do
-    folder =
-      Path.join(
-        System.tmp_dir!(),
-        "situ-sphinx-#{System.pid()}-#{System.unique_integer([:positive])}"
-      )
-
     with :ok <- Situ.Infer.Samples.check(buffer),
          {:ok, mono} <- Sound.reformat(buffer, channels: 1, sample: :s16),
          {:ok, sound} <- Sound.resample(mono, 16_000) do
-      File.mkdir_p!(folder)
-
-      try do
+      Situ.Scratch.with_folder("sphinx", fn folder ->
         File.write!(Path.join(folder, "sound.raw"), sound.data)
         File.write!(Path.join(folder, "list"), "sound\n")
         hear(sphinx, folder)
-      after
-        File.rm_rf!(folder)
-      end
+      end)
     end
   end
 

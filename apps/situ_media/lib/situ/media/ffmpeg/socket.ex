@@ -6,19 +6,23 @@ defmodule Situ.Media.FFmpeg.Socket do
 
   @type t :: %__MODULE__{listen: :gen_tcp.socket(), folder: Path.t(), path: Path.t()}
 
-  # An address of a local socket has room for 107 bytes.
-  @longest 107
+  # An address of a local socket has room for 107 bytes: "/situ-media-", a random name of 20, and "/s" take 34.
+  @longest_parent 107 - 34
 
   @spec listen(keyword()) :: {:ok, t()} | {:error, Situ.Error.t()}
   def listen(opts \\ []) do
-    folder = Enum.find_value([System.tmp_dir() || "/tmp", "/tmp"], &fresh_folder/1)
+    parent = System.tmp_dir() || "/tmp"
+    parent = if byte_size(parent) > @longest_parent, do: "/tmp", else: parent
 
-    with {:ok, folder} <- folder || {:error, :enametoolong},
-         path = Path.join(folder, "media"),
+    with {:ok, folder} <- Situ.Scratch.create("media", parent),
+         path = Path.join(folder, "s"),
          settings = [:binary, active: false, ifaddr: {:local, path}, backlog: 1] ++ opts,
          {:ok, listen} <- :gen_tcp.listen(0, settings) do
       {:ok, %__MODULE__{listen: listen, folder: folder, path: path}}
     else
+      {:error, %Situ.Error{} = error} ->
+        {:error, error}
+
       {:error, reason} ->
         {:error,
          Situ.Error.new(:no_socket, "cannot make a local socket: #{inspect(reason)}",
@@ -77,19 +81,5 @@ defmodule Situ.Media.FFmpeg.Socket do
     _ = File.rm(socket.path)
     _ = File.rmdir(socket.folder)
     :ok
-  end
-
-  defp fresh_folder(parent) do
-    name =
-      "situ-#{System.pid()}-#{System.unique_integer([:positive])}-#{:rand.uniform(1_000_000_000)}"
-
-    folder = Path.join(parent, name)
-
-    if byte_size(folder) + byte_size("/media") > @longest do
-      nil
-    else
-      # mkdir fails on a folder somebody else prepared; nobody may enter before the mode is set, as it is empty.
-      with :ok <- File.mkdir(folder), :ok <- File.chmod(folder, 0o700), do: {:ok, folder}
-    end
   end
 end

@@ -45,8 +45,7 @@ defmodule Situ.Studio.Film.Job do
     Process.flag(:trap_exit, true)
     {:ok, _} = Registry.register(Situ.Studio.Registry, {args.studio, :film, key}, nil)
     Process.monitor(page)
-    folder = Path.join(System.tmp_dir!(), "situ-film-" <> key)
-    File.mkdir_p!(folder)
+    folder = Situ.Error.unwrap!(Situ.Scratch.create("film"))
     path = Path.join(folder, "selection.mp4")
     job = self()
     %{film: film, source: source} = args
@@ -91,6 +90,6 @@ defmodule Situ.Studio.Film.Job do
   @impl true
   def terminate(_reason, %{task: task, folder: folder}) do
     Process.exit(task, :kill)
-    File.rm_rf(folder)
+    Situ.Scratch.remove(folder)
   end
 end

@@ -2,6 +2,7 @@ defmodule Situ.Studio.Web.DataHttp do
   @moduledoc false
   # Data fetched rather than streamed: windows for scripts and tests, sound, steps from message to message.
   alias Situ.Live.{Request, Response}
+  alias Situ.Scratch
 
   alias Situ.Studio.{
     Catalog,
@@ -120,13 +121,17 @@ defmodule Situ.Studio.Web.DataHttp do
          {:ok, to} when to >= from <- WholeNumber.parse(query["to"]),
          {:ok, [_ | _] = streams} <- Situ.JSON.decode(text(query["streams"])),
          true <- Enum.all?(streams, &is_binary/1) do
-      random = Base.url_encode64(:crypto.strong_rand_bytes(9))
-      path = Elixir.Path.join(System.tmp_dir!(), "situ-#{random}.parquet")
+      folder = Situ.Error.unwrap!(Scratch.create("table"))
+      path = Elixir.Path.join(folder, "selection.parquet")
 
       # Its index stands at its end: the file is whole before the first byte of it is sent.
       case Situ.Studio.Table.parquet(source, streams, from, to, path) do
-        {:ok, _rows} -> file("application/vnd.apache.parquet", "parquet", {:chunks, sent(path)})
-        {:error, error} -> Response.error(422, Exception.message(error))
+        {:ok, _rows} ->
+          file("application/vnd.apache.parquet", "parquet", {:chunks, sent(path, folder)})
+
+        {:error, error} ->
+          Scratch.remove(folder)
+          Response.error(422, Exception.message(error))
       end
     else
       _ -> bad()
@@ -170,7 +175,7 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   # A file that is there for one answer.
-  defp sent(path) do
+  defp sent(path, folder) do
     Stream.resource(
       fn -> File.open!(path, [:raw, :binary, :read]) end,
       fn file ->
@@ -181,7 +186,7 @@ defmodule Situ.Studio.Web.DataHttp do
       end,
       fn file ->
         :ok = :file.close(file)
-        File.rm(path)
+        Scratch.remove(folder)
       end
     )
   end
