@@ -8,6 +8,7 @@ pub mod columns;
 pub mod error;
 pub mod etf;
 pub mod extent;
+pub mod file_lock;
 pub mod format;
 pub mod guard;
 pub mod index;

@@ -1,12 +1,11 @@
 //! Damage of a store: finding, listing and repairing it.
 
-use std::path::Path;
-
 use rustler::{Encoder, Env, LocalPid, Term};
 use situ_store::reader::Damage;
 use situ_store::repair;
 
 use crate::atoms;
+use crate::paths::FilePath;
 use crate::reading::{failed, Handle};
 
 fn damage(found: Vec<Damage>) -> Vec<(String, u64, String)> {
@@ -45,7 +44,7 @@ fn reader_verify<'a>(env: Env<'a>, handle: Handle, from: u64, n: u64) -> Term<'a
 #[rustler::nif(schedule = "DirtyIo")]
 fn store_repair<'a>(
     env: Env<'a>,
-    path: String,
+    path: FilePath,
     dry: bool,
     pid: LocalPid,
     tag: Term<'a>,
@@ -54,7 +53,7 @@ fn store_repair<'a>(
     let tell = |done: u64, total: u64| {
         let _ = env.send(&pid, (atoms::situ_store(), tag, (done, total)));
     };
-    match repair::repair(Path::new(&path), dry, tell) {
+    match repair::repair(&path.0, dry, tell) {
         Ok(report) => (
             atoms::ok(),
             (

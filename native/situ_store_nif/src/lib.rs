@@ -4,7 +4,9 @@ mod columns;
 mod errors;
 mod health;
 mod inputs;
+mod locking;
 mod messages;
+mod paths;
 mod reading;
 mod rows;
 mod terms;
@@ -35,6 +37,7 @@ mod atoms {
         ended,
         io,
         locked,
+        held,
         no_store,
         not_a_store,
         newer_version,

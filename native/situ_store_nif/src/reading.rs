@@ -1,7 +1,6 @@
 //! The reader's functions.
 
 use std::collections::HashMap;
-use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
@@ -12,6 +11,7 @@ use situ_store::reader::lock;
 use situ_store::watch::{self, News};
 use situ_store::{pyramid, Error, Reader};
 
+use crate::paths::FilePath;
 use crate::terms::copied;
 use crate::{atoms, errors};
 
@@ -48,8 +48,13 @@ pub fn failed<'a>(env: Env<'a>, error: &Error) -> Term<'a> {
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
-fn reader_open<'a>(env: Env<'a>, path: String, verify_large: bool, max_unpacked: u64) -> Term<'a> {
-    match Reader::open(Path::new(&path)) {
+fn reader_open<'a>(
+    env: Env<'a>,
+    path: FilePath,
+    verify_large: bool,
+    max_unpacked: u64,
+) -> Term<'a> {
+    match Reader::open(&path.0) {
         Ok(mut reader) => {
             reader.verify_large = verify_large;
             reader.max_unpacked = max_unpacked as usize;

@@ -1,7 +1,6 @@
 //! The writer's functions.
 
 use std::collections::HashSet;
-use std::path::Path;
 use std::sync::Mutex;
 use std::time::Duration;
 
@@ -12,6 +11,7 @@ use situ_store::writer::Durability;
 use situ_store::{Compression, Error, Options, Writer};
 
 use crate::inputs::{append, append_runs, Failed};
+use crate::paths::FilePath;
 use crate::{atoms, errors};
 
 /// The writer and the names its streams have.
@@ -45,7 +45,7 @@ pub fn with<T>(
 #[rustler::nif(schedule = "DirtyIo")]
 fn writer_create<'a>(
     env: Env<'a>,
-    path: String,
+    path: FilePath,
     first_extent: u64,
     max_extent: u64,
     durability: Term<'a>,
@@ -67,7 +67,7 @@ fn writer_create<'a>(
         mode,
         ..Options::default()
     };
-    let created = Writer::create(Path::new(&path), options);
+    let created = Writer::create(&path.0, options);
     Ok(answer(
         env,
         created

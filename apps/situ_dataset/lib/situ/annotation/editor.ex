@@ -25,6 +25,11 @@ defmodule Situ.Annotation.Editor do
   crash finds the journal and carries on (`recovered` in `status/1` counts the transactions). Subscribers get
   `{:situ_annotation, pid, transaction}` after every edit, undo and redo, and `{:situ_annotation, pid, :saved}`.
 
+  One editor at a time has unsaved edits of a stream, on all computers that share the folder: from its first edit to
+  its next save it holds a lock (`ROOT/NAME.STREAM.journal.lock`). Others see what was saved last; their edits are
+  refused (`:being_edited`) with the name of the program, its process and computer, and since when. The operating
+  system releases the lock of a program that dies, so its journal is found as before.
+
   Several editors of one store, each of another stream, save independently: a new version has what the others saved
   last, also those of other operating-system processes. When another program has saved this very stream, its
   annotations and schema are taken at the next edit (or `refresh/1`), and edits that were not saved are made on them
@@ -32,9 +37,9 @@ defmodule Situ.Annotation.Editor do
   `status/1` names the other program's, which stays beside it.
   """
   use GenServer
-  alias Situ.Annotation.{Journal, Layer, Schema, Versions}
-  alias Situ.Dataset.Version
-  alias Situ.{Error, Store}
+  alias Situ.Annotation.{EditorState, Journal, Layer, Schema, Versions}
+  alias Situ.Error
+  alias Situ.Store.FileLock
 
   @type server :: GenServer.server()
 
@@ -42,59 +47,14 @@ defmodule Situ.Annotation.Editor do
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def start_link(opts) do
     {given, opts} = Keyword.split(opts, [:path, :stream, :schema])
+    {path, stream} = {Keyword.fetch!(given, :path), Keyword.fetch!(given, :stream)}
 
-    with {:ok, state} <-
-           open(Keyword.fetch!(given, :path), Keyword.fetch!(given, :stream), given[:schema]),
-         do: GenServer.start_link(__MODULE__, state, opts)
-  end
-
-  defp open(path, stream, schema) do
-    path = Path.expand(path)
-    journal = Journal.path(path, stream)
-
-    base = if Store.exists?(path), do: Version.newest(path) || path
-
-    with {:ok, mine, others} <- Versions.stored(base, stream),
-         {:ok, layer} <- if(mine, do: {:ok, mine}, else: fresh(stream, schema)),
-         digest = Journal.digest(mine),
-         {:ok, transactions} <- Versions.unsaved(journal, {base, mine}, stream),
-         {:ok, layer, undo} <- replay(layer, transactions) do
-      {:ok,
-       %{
-         path: path,
-         base: base,
-         seen: base,
-         shadowed: nil,
-         stream: stream,
-         digest: digest,
-         others: others,
-         layer: layer,
-         undo: undo,
-         redo: [],
-         journal: journal,
-         recovered: length(transactions),
-         unsaved?: transactions != [],
-         subscribers: %{}
-       }}
+    with {:ok, state} <- EditorState.open(path, stream, given[:schema]) do
+      started = GenServer.start_link(__MODULE__, state, opts)
+      # The name may be taken.
+      if state.lock && not match?({:ok, _}, started), do: FileLock.release(state.lock)
+      started
     end
-  end
-
-  defp fresh(_stream, %Schema{} = schema), do: Layer.new(schema)
-
-  defp fresh(stream, nil) do
-    {:error,
-     Error.new(:no_schema, "there is no annotation stream #{inspect(stream)} yet",
-       fix: "give its schema:"
-     )}
-  end
-
-  defp replay(layer, transactions) do
-    Enum.reduce_while(transactions, {:ok, layer, []}, fn transaction, {:ok, layer, undo} ->
-      case Layer.apply(layer, transaction) do
-        {:ok, layer} -> {:cont, {:ok, layer, [transaction | undo]}}
-        {:error, error} -> {:halt, {:error, Journal.unfit(error)}}
-      end
-    end)
   end
 
   @doc "The annotations as they are now."
@@ -149,7 +109,10 @@ defmodule Situ.Annotation.Editor do
   def stop(server), do: GenServer.stop(server)
 
   @impl true
-  def init(state), do: {:ok, state}
+  def init(state) do
+    if state.lock, do: FileLock.own(state.lock)
+    {:ok, state}
+  end
 
   @impl true
   def handle_call(:layer, _from, state), do: {:reply, state.layer, state}
@@ -179,44 +142,59 @@ defmodule Situ.Annotation.Editor do
   end
 
   def handle_call({:edit, fun}, _from, state) do
-    with {:ok, state} <- current(state),
-         {:ok, %Layer{}, transaction} <- edited(fun, state.layer),
-         {:ok, state} <- made(state, transaction) do
-      {:reply, {:ok, state.layer}, %{state | undo: [transaction | state.undo], redo: []}}
-    else
-      {:error, error} -> {:reply, {:error, error}, state}
-    end
+    change(state, fn state ->
+      with {:ok, %Layer{}, transaction} <- edited(fun, state.layer),
+           {:ok, state} <- made(state, transaction),
+           do: {:ok, %{state | undo: [transaction | state.undo], redo: []}}
+    end)
   end
 
-  def handle_call(way, _from, state) when way in [:undo, :redo] do
-    with {:ok, state} <- current(state) do
-      if way == :undo, do: step(state, :undo, :redo), else: step(state, :redo, :undo)
-    else
+  def handle_call(:undo, _from, state), do: change(state, &step(&1, :undo, :redo))
+  def handle_call(:redo, _from, state), do: change(state, &step(&1, :redo, :undo))
+
+  def handle_call({:put_schema, schema, fun}, _from, state) do
+    changed =
+      change(state, fn state ->
+        # Only what is on the disk is answered for.
+        with {:ok, layer} <- allowed(state.layer, schema, fun),
+             do: save_version(%{state | layer: layer, undo: [], redo: []})
+      end)
+
+    with {:reply, {:ok, _}, state} <- changed, do: {:reply, {:ok, state.base}, state}
+  end
+
+  def handle_call(:save, _from, state) do
+    case save_version(state) do
+      {:ok, state} -> {:reply, {:ok, state.base}, EditorState.unlock(state)}
       error -> {:reply, error, state}
     end
   end
 
-  def handle_call({:put_schema, schema, fun}, from, state) do
-    with {:ok, state} <- current(state), {:ok, layer} <- allowed(state.layer, schema, fun) do
-      # only what is on the disk is answered for
-      case handle_call(:save, from, %{state | layer: layer, undo: [], redo: []}) do
-        {:reply, {:ok, _}, _} = saved -> saved
-        {:reply, error, _} -> {:reply, error, state}
+  # Edits go into the journal, which is one editor's at a time. What others have saved is taken first; it stays when the
+  # edit then fails.
+  defp change(state, fun) do
+    with {:ok, locked} <- EditorState.lock(state) do
+      # Edits that another editor left when it was killed.
+      if locked.layer != state.layer, do: tell(locked, :reloaded)
+
+      case current(locked) do
+        {:ok, state} -> state |> fun.() |> answer(state)
+        error -> answer(error, locked)
       end
     else
       error -> {:reply, error, state}
     end
   end
 
-  def handle_call(:save, _from, state) do
-    case Versions.write(state) do
-      {:ok, state} ->
-        _ = File.rm(state.journal)
-        tell(state, :saved)
-        {:reply, {:ok, state.base}, %{state | unsaved?: false}}
+  defp answer({:ok, state}, _before), do: {:reply, {:ok, state.layer}, EditorState.unlock(state)}
+  defp answer(error, state), do: {:reply, error, EditorState.unlock(state)}
 
-      {:error, error} ->
-        {:reply, {:error, error}, state}
+  # Without the lock the journal, if there is one, is somebody else's.
+  defp save_version(state) do
+    with {:ok, state} <- Versions.write(state) do
+      if state.lock, do: File.rm(state.journal)
+      tell(state, :saved)
+      {:ok, %{state | unsaved?: false}}
     end
   end
 
@@ -246,19 +224,13 @@ defmodule Situ.Annotation.Editor do
   defp step(state, from, to) do
     case Map.fetch!(state, from) do
       [] ->
-        {:reply, {:error, nothing(from)}, state}
+        {:error, nothing(from)}
 
       [transaction | rest] ->
         change = if from == :undo, do: Layer.inverse(transaction), else: transaction
 
-        case made(state, change) do
-          {:ok, state} ->
-            state = state |> Map.put(from, rest) |> Map.update!(to, &[transaction | &1])
-            {:reply, {:ok, state.layer}, state}
-
-          {:error, error} ->
-            {:reply, {:error, error}, state}
-        end
+        with {:ok, state} <- made(state, change),
+             do: {:ok, state |> Map.put(from, rest) |> Map.update!(to, &[transaction | &1])}
     end
   end
 

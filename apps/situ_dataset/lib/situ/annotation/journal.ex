@@ -5,12 +5,35 @@ defmodule Situ.Annotation.Journal do
   # crash cut short was never answered for, and is taken off; a broken line before others is damage.
   alias Situ.{Annotation, Error}
   alias Situ.Annotation.{Layer, Schema}
+  alias Situ.Store.{AtomicFile, FileLock}
 
   @typedoc "A version (the store's folder, `nil` before the first), and the digest of the stream in it."
   @type base :: {Path.t() | nil, String.t() | nil}
 
   @spec path(Path.t(), String.t()) :: Path.t()
   def path(store, stream), do: "#{store}.#{String.replace(stream, ~r/[^\w.-]/u, "_")}.journal"
+
+  @doc """
+  Locks the journal for the calling process: `{:ok, lock}`. Error: `:being_edited`, which names who holds it. Whoever
+  has unsaved edits holds it, so a journal that nobody holds is one that a crash left.
+  """
+  @spec lock(Path.t()) :: {:ok, FileLock.t()} | {:error, Error.t()}
+  def lock(path) do
+    with :ok <- make_folder(path),
+         {:held, holder} <- FileLock.acquire(path <> ".lock") do
+      {:error,
+       Error.new(:being_edited, "somebody else has edits of these annotations that are not saved",
+         why: FileLock.describe(holder),
+         fix: "save there first, or end that program; then edit again",
+         meta: %{holder: holder}
+       )}
+    end
+  end
+
+  defp make_folder(path) do
+    with {:error, reason} <- AtomicFile.make_folder(Path.dirname(path)),
+         do: {:error, failed(path, reason)}
+  end
 
   @doc "Of the annotations as they are stored, to know them again; `nil` for a stream that is not stored yet."
   @spec digest(Layer.t() | nil) :: String.t() | nil
@@ -26,15 +49,14 @@ defmodule Situ.Annotation.Journal do
   def append(path, base, transaction) do
     line = [Situ.JSON.encode(Enum.map(transaction, &change/1)), "\n"]
 
-    line =
-      if File.exists?(path),
-        do: line,
-        else: [Situ.JSON.encode(head(base)), "\n", line]
+    new? = not File.exists?(path)
+    line = if new?, do: [Situ.JSON.encode(head(base)), "\n", line], else: line
 
-    with :ok <- File.mkdir_p(Path.dirname(path)),
+    with :ok <- AtomicFile.make_folder(Path.dirname(path)),
          {:ok, device} <- :file.open(path, [:append, :raw, :binary]),
          :ok <- written(device, line) do
-      :ok
+      # A power cut is not to take the name of a file that is on the disk.
+      if new?, do: AtomicFile.sync_folder(Path.dirname(path)), else: :ok
     else
       {:error, reason} -> {:error, failed(path, reason)}
     end
@@ -43,18 +65,10 @@ defmodule Situ.Annotation.Journal do
   @doc "Puts the transactions, oldest first, in the place of the journal: on another base, whole or not at all."
   @spec rewrite(Path.t(), base(), [Layer.transaction()]) :: :ok | {:error, Error.t()}
   def rewrite(path, base, transactions) do
-    temporary = "#{path}.#{System.pid()}-#{System.unique_integer([:positive])}.tmp"
     lines = for t <- transactions, do: [Situ.JSON.encode(Enum.map(t, &change/1)), "\n"]
 
-    with {:ok, device} <- :file.open(temporary, [:write, :raw, :binary, :exclusive]),
-         :ok <- written(device, [Situ.JSON.encode(head(base)), "\n", lines]),
-         :ok <- File.rename(temporary, path) do
-      :ok
-    else
-      {:error, reason} ->
-        _ = File.rm(temporary)
-        {:error, failed(path, reason)}
-    end
+    with {:error, reason} <- AtomicFile.write(path, [Situ.JSON.encode(head(base)), "\n", lines]),
+         do: {:error, failed(path, reason)}
   end
 
   # A line that could not be written whole is taken off again: it would be damage in front of the next.

@@ -159,6 +159,78 @@ defmodule Situ.Annotation.EditorTest do
     assert {spans(Editor.layer(editor)), Editor.status(editor).recovered} == {[{0, 10}], 0}
   end
 
+  describe "two editors of one stream" do
+    test "the edits of one at a time are unsaved; the other is told whose", %{path: path} do
+      [anna, ben] = for _ <- 1..2, do: start(path)
+      {:ok, _} = add(anna, 0, 10)
+      assert {:error, %{code: :being_edited} = error} = add(ben, 20, 30)
+      assert error.why =~ "process #{System.pid()} on"
+      assert {:error, %{code: :being_edited}} = Editor.put_schema(ben, schema())
+      # What the other has not saved is neither seen nor taken for a crash's.
+      carl = start(path)
+
+      assert {[], %{recovered: 0, unsaved?: false}} =
+               {spans(Editor.layer(carl)), Editor.status(carl)}
+
+      {:ok, _} = add(anna, 10, 20)
+      {:ok, _} = Editor.save(anna)
+      {:ok, layer} = add(ben, 20, 30)
+      assert spans(layer) == [{0, 10}, {10, 20}, {20, 30}]
+      assert {:error, %{code: :being_edited}} = add(anna, 40, 50)
+      {:ok, _} = Editor.save(ben)
+      {:ok, _} = add(anna, 40, 50)
+      {:ok, _} = Editor.save(anna)
+      assert stored(path, "Speech") == [{0, 10}, {10, 20}, {20, 30}, {40, 50}]
+    end
+
+    test "a save of nothing does not take the other's edits", %{path: path, journal: journal} do
+      Process.flag(:trap_exit, true)
+      [anna, ben] = for _ <- 1..2, do: start(path)
+      {:ok, _} = add(anna, 0, 10)
+      {:ok, _} = Editor.save(ben)
+      assert File.exists?(journal)
+      {:ok, _} = add(anna, 10, 20)
+      Process.exit(anna, :kill)
+      assert_receive {:EXIT, ^anna, :killed}
+      # The one that is there finds what the killed one left as well as one that is started then.
+      :ok = Editor.subscribe(ben)
+      {:ok, layer} = add(ben, 20, 30)
+      assert_receive {:situ_annotation, ^ben, :reloaded}
+      assert spans(layer) == [{0, 10}, {10, 20}, {20, 30}]
+      assert %{recovered: 2} = Editor.status(ben)
+      {:ok, _} = Editor.save(ben)
+      assert stored(path, "Speech") == [{0, 10}, {10, 20}, {20, 30}]
+      refute File.exists?(journal)
+    end
+
+    test "an edit that fails holds nobody up", %{path: path, journal: journal} do
+      [anna, ben] = for _ <- 1..2, do: start(path)
+      assert {:error, _} = Editor.edit(anna, fn _ -> raise "no" end)
+      assert {:error, %{code: :nothing_to_undo}} = Editor.undo(anna)
+      refute File.exists?(journal <> ".lock")
+      assert {:ok, _} = add(ben, 0, 10)
+      :ok = Editor.stop(ben)
+      assert {:ok, layer} = add(anna, 10, 20)
+      assert spans(layer) == [{0, 10}, {10, 20}]
+    end
+  end
+
+  test "after an edit that failed, edits on what another saved are kept", ctx do
+    Process.flag(:trap_exit, true)
+    editor = start(ctx.path)
+    {:ok, _} = add(editor, 0, 10)
+    {:ok, _} = Editor.save(editor)
+    {:ok, _} = add(editor, 40, 50)
+    by_another(ctx.path, [{0, 10}, {20, 30}])
+    assert {:error, _} = Editor.edit(editor, fn _ -> raise "no" end)
+    {:ok, layer} = add(editor, 60, 70)
+    assert spans(layer) == [{0, 10}, {20, 30}, {40, 50}, {60, 70}]
+    assert %{shadowed: nil} = Editor.status(editor)
+    Process.exit(editor, :kill)
+    assert_receive {:EXIT, ^editor, :killed}
+    assert spans(Editor.layer(start(ctx.path))) == spans(layer)
+  end
+
   describe "another program saves the same stream meanwhile" do
     defp by_another(path, spans, schema \\ schema()) do
       {:ok, layer} = Layer.new(schema, for({a, b} <- spans, do: Situ.Annotation.new(a, b, "A")))

@@ -49,6 +49,9 @@ defmodule Situ.Store.Native do
   def store_transfer(_reader, _stream, _ordinal, _to, _bytes, _writer, _target), do: missing()
   def store_repair(_path, _dry, _pid, _tag), do: missing()
   def csv_rows(_path, _separator, _byte, _line, _most, _bytes), do: missing()
+  def file_lock(_path, _holder), do: missing()
+  def file_lock_give(_lock, _pid), do: missing()
+  def file_unlock(_lock), do: missing()
   def reader_await(_reader, _known, _pid, _tag), do: missing()
 
   defp missing, do: :erlang.nif_error(:nif_not_loaded)

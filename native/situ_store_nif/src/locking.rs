@@ -1,0 +1,55 @@
+//! Locks between processes, each held by one process of the VM.
+
+use std::sync::Mutex;
+
+use rustler::{Binary, Encoder, Env, LocalPid, Monitor, ResourceArc, Term};
+use situ_store::file_lock::{self, Attempt, FileLock};
+use situ_store::reader::lock;
+
+use crate::paths::FilePath;
+use crate::{atoms, errors};
+
+/// The lock, and the watch on the process that holds it.
+pub struct LockResource(Mutex<Option<FileLock>>, Mutex<Option<Monitor>>);
+
+#[rustler::resource_impl]
+impl rustler::Resource for LockResource {
+    /// Without waiting for a garbage collection: what a process held is free when it has ended.
+    fn down<'a>(&'a self, _env: Env<'a>, _pid: LocalPid, _monitor: Monitor) {
+        drop(lock(&self.0).take());
+    }
+}
+
+type Handle = ResourceArc<LockResource>;
+
+/// `{:ok, lock}`, the calling process's, or `{:held, what_its_holder_wrote}`.
+#[rustler::nif(schedule = "DirtyIo")]
+fn file_lock<'a>(env: Env<'a>, path: FilePath, holder: Binary<'a>) -> Term<'a> {
+    match file_lock::acquire(&path.0, holder.as_slice()) {
+        Ok(Attempt::Taken(taken)) => {
+            let handle = ResourceArc::new(LockResource(Mutex::new(Some(taken)), Mutex::default()));
+            (atoms::ok(), handle).encode(env)
+        }
+        Ok(Attempt::Held(told)) => {
+            (atoms::held(), String::from_utf8_lossy(&told).into_owned()).encode(env)
+        }
+        Err(error) => errors::term(env, &error),
+    }
+}
+
+/// Gives the lock to a process: it is released when that ends. Whether it could be.
+#[rustler::nif]
+fn file_lock_give(env: Env<'_>, handle: Handle, pid: LocalPid) -> bool {
+    let mut watch = lock(&handle.1);
+    if let Some(before) = watch.take() {
+        env.demonitor(&handle, &before);
+    }
+    *watch = env.monitor(&handle, &pid);
+    watch.is_some()
+}
+
+#[rustler::nif(schedule = "DirtyIo")]
+fn file_unlock(handle: Handle) -> rustler::Atom {
+    drop(lock(&handle.0).take());
+    atoms::ok()
+}
