@@ -18,7 +18,8 @@ defmodule Situ.Dataset do
 
   `open/1` takes a dataset file (`Situ.Dataset.Document`), a `.pds` of \\psi, a folder of recordings, or one
   recording. A dataset is a plain value: edits answer `{:ok, dataset}`, and with `autosave: true` are on disk by
-  then (whole or not at all); else `unsaved?` is true. `Situ.Dataset.Server` is a process that holds one for several
+  then (whole or not at all); else `unsaved?` is true. Nothing that another program has saved is overwritten: `save/1`
+  refuses then, and `update/2` makes an edit of the file as it is. `Situ.Dataset.Server` is a process that holds one for several
   users and tells them of changes.
 
   | to | see |
@@ -30,6 +31,7 @@ defmodule Situ.Dataset do
   """
   alias Situ.Dataset.{
     Checksum,
+    DatasetFile,
     Derivation,
     Discovery,
     Document,
@@ -55,7 +57,8 @@ defmodule Situ.Dataset do
             sessions: [],
             metadata: %{},
             tags: [],
-            extra: %{}
+            extra: %{},
+            digest: nil
 
   @type t :: %__MODULE__{
           name: String.t(),
@@ -65,7 +68,8 @@ defmodule Situ.Dataset do
           sessions: [Session.t()],
           metadata: map(),
           tags: [String.t()],
-          extra: map()
+          extra: map(),
+          digest: String.t() | nil
         }
   @type result :: {:ok, t()} | {:error, Error.t()}
 
@@ -130,13 +134,17 @@ defmodule Situ.Dataset do
   def load(path, opts \\ []) do
     path = Path.expand(path)
 
-    with {:ok, found} <- Document.read(path) do
+    with {:ok, found, digest} <- Document.read_digested(path) do
+      dataset = struct!(%__MODULE__{digest: digest}, found)
       file = if Path.extname(path) == ".pds", do: nil, else: path
-      autosaving(struct!(__MODULE__, found), file, (opts[:autosave] && file != nil) || false)
+      autosaving(dataset, file, (opts[:autosave] && file != nil) || false)
     end
   end
 
-  @doc "Writes the dataset to its file, whole or not at all. Error: `:no_file`, `:not_saved`."
+  @doc """
+  Writes the dataset to its file, whole or not at all. Error: `:no_file`, `:not_saved`, `:dataset_in_use`;
+  `:dataset_changed` when another program has saved the file since this dataset was read from it or saved to it.
+  """
   @spec save(t()) :: result()
   def save(%__MODULE__{file: nil}) do
     {:error,
@@ -144,39 +152,56 @@ defmodule Situ.Dataset do
   end
 
   def save(%__MODULE__{file: file} = dataset) do
-    with :ok <- write(file, Document.render(dataset, file)),
-         do: {:ok, %{dataset | unsaved?: false}}
+    DatasetFile.lock(file, fn ->
+      with :ok <- DatasetFile.check_unchanged(file, dataset.digest), do: write(dataset)
+    end)
   end
 
-  @doc "Writes the dataset to another file, which is its own from now on; paths in it are relative to that."
+  @doc """
+  Writes the dataset to another file, which is its own from now on; paths in it are relative to that. A file that is
+  there is replaced.
+  """
   @spec save_as(t(), Path.t()) :: result()
-  def save_as(%__MODULE__{} = dataset, path), do: save(%{dataset | file: Path.expand(path)})
+  def save_as(%__MODULE__{} = dataset, path),
+    do: save(%{dataset | file: Path.expand(path), digest: nil})
 
-  defp write(path, text) do
-    temporary = "#{path}.#{System.pid()}-#{System.unique_integer([:positive])}.tmp"
+  @doc """
+  Changes the dataset as its file is now, by a function `dataset -> {:ok, dataset} | {:error, error}`, and saves it:
+  the way to edit a file that other programs edit, too. Meanwhile they wait, so `fun` is to be quick and to save
+  nothing itself. A dataset without a file is changed as it is.
 
-    with :ok <- File.mkdir_p(Path.dirname(path)),
-         {:ok, device} <- :file.open(temporary, [:write, :raw, :binary, :exclusive]),
-         :ok <- synced(device, text),
-         :ok <- File.rename(temporary, path) do
-      :ok
-    else
-      {:error, reason} ->
-        _ = File.rm(temporary)
+      Situ.Dataset.update(dataset, &Situ.Dataset.put(&1, tags: ["pilot" | &1.tags]))
 
-        {:error,
-         Error.new(:not_saved, "the dataset cannot be saved to #{path}",
-           why: to_string(:file.format_error(reason)),
-           fix: "the file has not changed; check the folder, or save elsewhere"
-         )}
+  Errors: those of `fun` and of `save/1`. `:dataset_changed` only where the dataset has edits that were never saved.
+  """
+  @spec update(t(), (t() -> result())) :: result()
+  def update(%__MODULE__{file: nil} = dataset, fun), do: fun.(dataset)
+
+  def update(%__MODULE__{file: file} = dataset, fun) do
+    DatasetFile.lock(file, fn ->
+      with {:ok, dataset} <- refresh(dataset),
+           {:ok, changed} <- fun.(%{dataset | autosave?: false}),
+           {:ok, saved} <- write(changed),
+           do: {:ok, %{saved | autosave?: dataset.autosave?}}
+    end)
+  end
+
+  defp refresh(%{file: file, digest: digest} = dataset) do
+    case DatasetFile.check_unchanged(file, digest) do
+      {:error, %{code: :dataset_changed}} when not dataset.unsaved? ->
+        load(file, autosave: dataset.autosave?)
+
+      :ok ->
+        {:ok, dataset}
+
+      error ->
+        error
     end
   end
 
-  # Through :file, whose errors are values: :file.write/2 to a full disk answers :enospc.
-  defp synced(device, text) do
-    with :ok <- :file.write(device, text), do: :file.sync(device)
-  after
-    :file.close(device)
+  defp write(dataset) do
+    with {:ok, digest} <- DatasetFile.write(dataset.file, Document.render(dataset, dataset.file)),
+         do: {:ok, %{dataset | unsaved?: false, digest: digest}}
   end
 
   # Every edit ends here.
@@ -319,33 +344,26 @@ defmodule Situ.Dataset do
   """
   @spec seal(t(), keyword()) :: result()
   def seal(%__MODULE__{} = dataset, opts \\ []) do
-    progress = opts[:progress] || fn _, _ -> :ok end
-    total = dataset.sessions |> Enum.map(&length(&1.partitions)) |> Enum.sum()
-    counted = :counters.new(1, [])
-
-    sealed =
-      Enum.reduce_while(dataset.sessions, {:ok, []}, fn session, {:ok, done} ->
-        case seal_all(session.partitions, [], fn -> count(counted, total, progress) end) do
-          {:ok, partitions} -> {:cont, {:ok, [%{session | partitions: partitions} | done]}}
-          {:error, error} -> {:halt, {:error, error}}
-        end
-      end)
-
-    with {:ok, sessions} <- sealed, do: commit(%{dataset | sessions: Enum.reverse(sessions)})
+    with {:ok, checksums} <- Checksum.all(partitions(dataset), opts),
+         do: put_checksums(dataset, checksums)
   end
 
-  defp seal_all([], done, _tick), do: {:ok, Enum.reverse(done)}
+  @doc "The partitions of all sessions."
+  @spec partitions(t()) :: [Partition.t()]
+  def partitions(%__MODULE__{sessions: sessions}), do: Enum.flat_map(sessions, & &1.partitions)
 
-  defp seal_all([partition | rest], done, tick) do
-    with {:ok, checksum} <- Checksum.of(partition.path) do
-      tick.()
-      seal_all(rest, [%{partition | checksum: checksum} | done], tick)
-    end
-  end
+  @doc "Notes checksums (`Situ.Dataset.Checksum.all/2`) of recordings by their paths."
+  @spec put_checksums(t(), %{Path.t() => String.t()}) :: result()
+  def put_checksums(%__MODULE__{} = dataset, checksums) do
+    sessions =
+      for session <- dataset.sessions do
+        partitions =
+          for p <- session.partitions, do: %{p | checksum: checksums[p.path] || p.checksum}
 
-  defp count(counter, total, progress) do
-    :counters.add(counter, 1, 1)
-    progress.(:counters.get(counter, 1), total)
+        %{session | partitions: partitions}
+      end
+
+    commit(%{dataset | sessions: sessions})
   end
 
   @doc "Sessions that have all `tags:` and whose name fits the pattern `name:` (`*` and `?`)."
@@ -402,7 +420,6 @@ defmodule Situ.Dataset do
       end
     end
 
-    with {:ok, dataset} <- update_session(dataset, name, put),
-         do: if(dataset.file, do: save(dataset), else: {:ok, dataset})
+    update(dataset, &update_session(&1, name, put))
   end
 end

@@ -141,10 +141,14 @@ defmodule Situ.CLI.Dataset do
     ok!(Dataset.open(path))
   end
 
+  # Others may edit the file at the same time: each edit is made of what is in it then.
   defp edit(file, opts, fun) do
-    dataset = file |> open!() |> fun.()
-    {:ok, dataset} = {:ok, ok!(dataset)}
-    saved = ok!(Dataset.save(dataset))
+    saved =
+      case open!(file) do
+        %{file: nil} = dataset -> ok!(Dataset.save(ok!(fun.(dataset))))
+        dataset -> ok!(Dataset.update(dataset, fun))
+      end
+
     if opts[:json], do: Output.json(%{file: saved.file, sessions: length(saved.sessions)})
     0
   end
@@ -183,6 +187,8 @@ defmodule Situ.CLI.Dataset do
     if opts[:partition] && length(paths) > 1,
       do: throw({:usage, "--partition names one recording, not #{length(paths)}"})
 
+    partitions = Enum.map(paths, &partition!(opts[:partition], &1))
+
     edit(file, opts, fn dataset ->
       dataset =
         case Dataset.session(dataset, name) do
@@ -191,9 +197,7 @@ defmodule Situ.CLI.Dataset do
         end
 
       Dataset.update_session(dataset, name, fn session ->
-        session =
-          Enum.reduce(paths, session, &ok!(Session.add(&2, partition!(opts[:partition], &1))))
-
+        session = Enum.reduce(partitions, session, &ok!(Session.add(&2, &1)))
         {:ok, changed(session, opts)}
       end)
     end)
@@ -267,13 +271,21 @@ defmodule Situ.CLI.Dataset do
     end
   end
 
-  defp append(%{file: file, other: other}, opts),
-    do: edit(file, opts, &Dataset.append(&1, open!(other)))
+  defp append(%{file: file, other: other}, opts) do
+    other = open!(other)
+    edit(file, opts, &Dataset.append(&1, other))
+  end
 
+  # Checksums take long; meanwhile others may edit the dataset.
   defp seal(%{file: file}, opts) do
-    edit(file, opts, fn dataset ->
-      Progress.show("seal", opts, fn progress -> Dataset.seal(dataset, progress: progress) end)
-    end)
+    partitions = file |> open!() |> Dataset.partitions()
+
+    checksums =
+      Progress.show("seal", opts, fn progress ->
+        ok!(Checksum.all(partitions, progress: progress))
+      end)
+
+    edit(file, opts, &Dataset.put_checksums(&1, checksums))
   end
 
   defp verify(%{path: path}, opts) do

@@ -138,24 +138,31 @@ defmodule Situ.CLI.Query do
     name = opts[:annotate]
     schema = Schema.text("Query")
 
-    dataset =
-      for {session, {:ok, %{intervals: [_ | _]} = found}} <- found, reduce: dataset do
-        dataset ->
-          {:ok, empty} = Layer.new(schema)
-          proposals = Query.annotations(found, name, %{"Query" => expression}, by: "situ query")
-          {:ok, layer, _} = Edit.propose(empty, proposals)
-          folder = session.partitions |> hd() |> Map.fetch!(:path) |> Path.dirname()
-          path = ok!(Situ.Annotation.Recording.write(layer, Path.join(folder, name), name))
-          partition = Dataset.Partition.new(name, path)
-          ok!(Dataset.update_session(dataset, session.name, &put(&1, partition)))
+    written =
+      for {session, {:ok, %{intervals: [_ | _]} = found}} <- found do
+        {:ok, empty} = Layer.new(schema)
+        proposals = Query.annotations(found, name, %{"Query" => expression}, by: "situ query")
+        {:ok, layer, _} = Edit.propose(empty, proposals)
+        folder = session.partitions |> hd() |> Map.fetch!(:path) |> Path.dirname()
+        path = ok!(Situ.Annotation.Recording.write(layer, Path.join(folder, name), name))
+        {session.name, Dataset.Partition.new(name, path)}
       end
 
     if dataset.file,
-      do: ok!(Dataset.save(dataset)),
+      do: ok!(Dataset.update(dataset, &put_all(&1, written))),
       else:
         Output.warn(
           "the partitions are written; make a dataset of the folder to have them listed"
         )
+  end
+
+  defp put_all(dataset, written) do
+    Enum.reduce_while(written, {:ok, dataset}, fn {name, partition}, {:ok, dataset} ->
+      case Dataset.update_session(dataset, name, &put(&1, partition)) do
+        {:ok, dataset} -> {:cont, {:ok, dataset}}
+        error -> {:halt, error}
+      end
+    end)
   end
 
   defp put(session, partition) do

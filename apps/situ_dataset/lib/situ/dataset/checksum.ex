@@ -18,6 +18,29 @@ defmodule Situ.Dataset.Checksum do
     end
   end
 
+  @doc """
+  The checksums of the recordings of partitions, by path: `{:ok, map}`. Option `progress:`, `fun.(done, total)`.
+  """
+  @spec all([Situ.Dataset.Partition.t()], keyword()) ::
+          {:ok, %{Path.t() => String.t()}} | {:error, Error.t()}
+  def all(partitions, opts \\ []) do
+    progress = opts[:progress] || fn _, _ -> :ok end
+    total = length(partitions)
+
+    partitions
+    |> Enum.with_index(1)
+    |> Enum.reduce_while({:ok, %{}}, fn {%{path: path}, n}, {:ok, done} ->
+      case of(path) do
+        {:ok, checksum} ->
+          progress.(n, total)
+          {:cont, {:ok, Map.put(done, path, checksum)}}
+
+        error ->
+          {:halt, error}
+      end
+    end)
+  end
+
   @doc "`:ok` when the recording still has that checksum. Error: `:changed`."
   @spec verify(Path.t(), String.t()) :: :ok | {:error, Error.t()}
   def verify(path, checksum) do

@@ -10,7 +10,7 @@ defmodule Situ.Dataset.Document do
   Paths are relative to the file, with forward slashes. Anything else in the file is kept when it is saved.
   \\psi's own `.pds` files are read (never written): the same tree under other names.
   """
-  alias Situ.Dataset.{Names, Partition, Session, StoredPath}
+  alias Situ.Dataset.{DatasetFile, Names, Partition, Session, StoredPath}
   alias Situ.Error
 
   @version 1
@@ -27,9 +27,15 @@ defmodule Situ.Dataset.Document do
   @doc "Reads a dataset file."
   @spec read(Path.t()) :: {:ok, dataset()} | {:error, Error.t()}
   def read(path) do
+    with {:ok, dataset, _digest} <- read_digested(path), do: {:ok, dataset}
+  end
+
+  @doc "Reads a dataset file: `{:ok, dataset, digest}`, with the digest of its text."
+  @spec read_digested(Path.t()) :: {:ok, dataset(), String.t()} | {:error, Error.t()}
+  def read_digested(path) do
     with {:ok, text} <- text(path) do
       case parse(text, path) do
-        {:ok, dataset} -> {:ok, dataset}
+        {:ok, dataset} -> {:ok, dataset, DatasetFile.digest(text)}
         {:error, why} -> {:error, refused(path, why)}
       end
     end

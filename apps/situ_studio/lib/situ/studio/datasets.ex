@@ -38,7 +38,7 @@ defmodule Situ.Studio.Datasets do
   @spec edit(GenServer.server(), Path.t(), (Dataset.t() -> Dataset.result())) :: Dataset.result()
   def edit(server, file, fun) do
     Server.edit(server, fn held ->
-      with {:ok, dataset} <- current(held, file), do: fun.(dataset)
+      with {:ok, dataset} <- current(held, file), do: Dataset.update(dataset, fun)
     end)
   end
 

@@ -1,0 +1,80 @@
+defmodule Situ.Dataset.DatasetFile do
+  @moduledoc false
+  # The file of a dataset among programs that edit it: one at a time, and none overwrites what it has not read.
+  alias Situ.Error
+  alias Situ.Store.{AtomicFile, FileLock}
+
+  # Edits take milliseconds; who waits longer is told who has the file.
+  @wait_ms 30_000
+
+  @doc "Runs `fun` while no other program edits the file. Error: `:dataset_in_use`."
+  @spec lock(Path.t(), (() -> result)) :: result | {:error, Error.t()} when result: term()
+  def lock(path, fun) do
+    with :ok <- make_folder(path),
+         {:ok, lock} <- FileLock.acquire(path <> ".lock", @wait_ms) do
+      try do
+        fun.()
+      after
+        FileLock.release(lock)
+      end
+    else
+      {:held, holder} -> {:error, in_use(path, holder)}
+      error -> error
+    end
+  end
+
+  defp make_folder(path) do
+    with {:error, reason} <- AtomicFile.make_folder(Path.dirname(path)),
+         do: {:error, not_saved(path, reason)}
+  end
+
+  defp in_use(path, holder) do
+    Error.new(:dataset_in_use, "the dataset #{path} is being edited",
+      why: FileLock.describe(holder),
+      fix: "end that program or wait for it, and edit again",
+      meta: %{holder: holder}
+    )
+  end
+
+  @doc "Of the text of a dataset file, to know it again."
+  @spec digest(binary()) :: String.t()
+  def digest(text), do: :sha256 |> :crypto.hash(text) |> Base.encode16()
+
+  @doc """
+  Whether the file is as it was when it had this digest, or is gone. A dataset that was never in the file (`nil`)
+  replaces whatever is there.
+  """
+  @spec check_unchanged(Path.t(), String.t() | nil) :: :ok | {:error, Error.t()}
+  def check_unchanged(_path, nil), do: :ok
+
+  def check_unchanged(path, digest) do
+    case File.read(path) do
+      {:ok, text} -> if digest(text) == digest, do: :ok, else: {:error, changed(path)}
+      {:error, :enoent} -> :ok
+      {:error, reason} -> {:error, not_saved(path, reason)}
+    end
+  end
+
+  defp changed(path) do
+    Error.new(:dataset_changed, "the dataset #{path} has changed since it was read",
+      why: "another program saved it, and saving now would undo that",
+      fix: "open it again and repeat the edit, or save under another name with `save_as/2`"
+    )
+  end
+
+  @doc "Writes the file, whole or not at all: `{:ok, digest}`."
+  @spec write(Path.t(), String.t()) :: {:ok, String.t()} | {:error, Error.t()}
+  def write(path, text) do
+    case AtomicFile.write(path, text) do
+      :ok -> {:ok, digest(text)}
+      {:error, reason} -> {:error, not_saved(path, reason)}
+    end
+  end
+
+  defp not_saved(path, reason) do
+    Error.new(:not_saved, "the dataset cannot be saved to #{path}",
+      why: to_string(:file.format_error(reason)),
+      fix: "the file has not changed; check the folder, or save elsewhere"
+    )
+  end
+end
