@@ -3,7 +3,7 @@ defmodule Situ.Store.Catalog do
   # Stream 0 of a store: JSON records about the others. Unknown kinds and keys are ignored.
   alias Situ.Store.{StreamInfo, TypeName}
 
-  defstruct name: nil, volatile?: false, writer: nil, streams: %{}, types: %{}
+  defstruct name: nil, volatile?: false, writer: nil, piece: nil, streams: %{}, types: %{}
 
   # Numbers of streams have 32 bits.
   @most 0xFFFFFFFF
@@ -59,6 +59,9 @@ defmodule Situ.Store.Catalog do
 
   defp record(%{"kind" => "closed", "id" => id, "time" => time}, catalog),
     do: update(catalog, id, &%{&1 | closed: time})
+
+  defp record(%{"kind" => "piece"} = r, catalog),
+    do: %{catalog | piece: Map.merge(catalog.piece || %{}, Map.take(r, ["every", "full"]))}
 
   defp record(_, catalog), do: catalog
 

@@ -48,8 +48,10 @@ defmodule Situ.Store.Exporter do
            {:tuple, [{:in, [:bytes]}, :pos_integer]}
          ]},
       doc:
-        "With `split:`: delete the oldest pieces that this pipeline made, so that at least " <>
-          "`{:span, ns}` or at most `{:bytes, n}` stay."
+        "With `split:`: delete the oldest pieces, those of earlier runs among them, so that at least " <>
+          "`{:span, ns}` or at most `{:bytes, n}` stay. A span is what was recorded in whole pieces before the newest " <>
+          "(a pause does not count); of pieces that are cut by size, the time since they ended by the computer's " <>
+          "clock. No message's time deletes anything."
     ]
   ]
 

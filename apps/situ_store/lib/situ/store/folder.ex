@@ -148,6 +148,31 @@ defmodule Situ.Store.Folder do
     end
   end
 
+  @doc "The folders of all versions of `name` below `root`, oldest first."
+  @spec list_versions(String.t(), Path.t()) :: [Path.t()]
+  def list_versions(name, root) do
+    for version <- name |> versions(root) |> Enum.sort(),
+        do: Path.join(root, "#{name}.#{pad(version)}")
+  end
+
+  @doc "The bytes of a store's files, those allocated for later messages among them."
+  @spec size(Path.t()) :: non_neg_integer()
+  def size(path) do
+    for file <- ls(path),
+        String.ends_with?(file, ".situ"),
+        {:ok, %{size: size}} <- [File.stat(Path.join(path, file))],
+        reduce: 0 do
+      sum -> sum + size
+    end
+  end
+
+  defp ls(path) do
+    case File.ls(path) do
+      {:ok, names} -> names
+      {:error, _} -> []
+    end
+  end
+
   @doc "The store that `path` means: the folder itself, or the newest version of its last name."
   @spec resolve(Path.t()) :: Path.t() | nil
   def resolve(path) do

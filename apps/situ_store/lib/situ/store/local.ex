@@ -61,6 +61,7 @@ defmodule Situ.Store.Local do
           closed?: closed?,
           live?: live?,
           volatile?: shelf.volatile?,
+          piece: shelf.piece,
           entries: entries,
           synced: synced,
           id: Base.encode16(id, case: :lower),

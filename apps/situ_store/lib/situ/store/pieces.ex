@@ -5,16 +5,17 @@ defmodule Situ.Store.Pieces do
   # the pipeline. Every piece is a whole store, so what a kill or a power cut finds is what it would find of any.
   #
   # Streams do not run abreast: the piece before the newest stays open for those that are behind. A message later still
-  # goes into the oldest open one. Pieces that `keep:` has no room for are deleted, the oldest first, and only those
-  # made here.
+  # goes into the oldest open one. Pieces that `keep:` has no room for are deleted, the oldest first: those made here
+  # and those that earlier runs of the recorder left (`Situ.Store.Pieces.Earlier`), and nothing else of that name.
   use GenServer
-  alias Situ.Store.{Folder, Writer}
-  alias Situ.Store.Pieces.Cut
+  alias Situ.Store.{Folder, Mending, Writer}
+  alias Situ.Store.Pieces.{Cut, Earlier, Retention}
+  require Logger
 
   @type keep :: nil | {:span, Situ.Time.duration()} | {:bytes, pos_integer()}
 
-  # By number: `open`, the pieces being written; `made`, the folders of the closed ones; of pieces cut by size `begun`,
-  # the times at which they begin, and `ended`, those behind their latest messages.
+  # `open`, the pieces being written, by number; `closed`, the others, oldest first; of pieces cut by size `ended`, the
+  # times behind their latest messages. `jumped` is a piece that does not follow another, and the stream that began it.
   defstruct [
     :name,
     :root,
@@ -23,10 +24,10 @@ defmodule Situ.Store.Pieces do
     :keep,
     :owner,
     open: %{},
-    made: %{},
-    begun: %{},
+    closed: [],
     ended: %{},
-    streams: %{}
+    streams: %{},
+    jumped: nil
   ]
 
   @doc "Linked to the caller, and gone when it is."
@@ -53,17 +54,28 @@ defmodule Situ.Store.Pieces do
   def init({name, root, opts, cut, keep, owner}) do
     Process.flag(:trap_exit, true)
     Process.monitor(owner)
+    state = %__MODULE__{name: name, root: root, opts: opts, cut: cut, keep: keep, owner: owner}
+    {:ok, state, {:continue, :find_earlier}}
+  end
 
-    {:ok, %__MODULE__{name: name, root: root, opts: opts, cut: cut, keep: keep, owner: owner}}
+  @impl true
+  def handle_continue(:find_earlier, %{keep: nil} = state), do: {:noreply, state}
+
+  def handle_continue(:find_earlier, state) do
+    earlier = Earlier.list(state.name, state.root, now(), Situ.Time.now())
+    {:noreply, %{state | closed: earlier}}
   end
 
   @impl true
   def handle_call({:stream, number, name, opts}, _from, state) do
     number = max(number, oldest(state, number))
+    state = warn_of_jump(state, number, name)
+    new? = not is_map_key(state.open, number)
 
-    with {:ok, state} <- opened(state, number),
+    with {:ok, state} <- opened(state, number, name),
          {:ok, stream, state} <- stream_of(state, number, name, opts) do
-      {:reply, {:ok, number, stream}, retain(state)}
+      state = close_old(state)
+      {:reply, {:ok, number, stream}, if(new?, do: retain(state), else: state)}
     else
       {:error, _} = error -> {:reply, error, state}
     end
@@ -72,20 +84,23 @@ defmodule Situ.Store.Pieces do
   @impl true
   def handle_cast({:appended, number, time}, %{cut: %{every: {:bytes, most}}} = state) do
     state = %{state | ended: Map.update(state.ended, number, time + 1, &max(&1, time + 1))}
+    bytes = if open = state.open[number], do: Writer.bytes(open.writer), else: 0
+    newest = Cut.newest(state.cut)
 
-    # Only the newest one grows into another; of those before it somebody is late.
-    full? =
-      not is_map_key(state.begun, number + 1) and is_map_key(state.open, number) and
-        Writer.bytes(state.open[number]) >= most
+    cond do
+      # Behind all streams, so that what is in a piece is earlier than the next.
+      number == newest and bytes >= most ->
+        Cut.cut(state.cut, state.ended[number])
 
-    if full?, do: {:noreply, cut(state, number)}, else: {:noreply, state}
-  end
+      # One stream's times were far ahead of the others', which keep on filling the piece that was to end.
+      number == newest - 1 and bytes >= most + div(most, 4) ->
+        Cut.lower(state.cut, time + 1)
 
-  # Behind all streams, so that what is in a piece is earlier than the next.
-  defp cut(state, number) do
-    time = state.ended[number]
-    :ok = Cut.cut(state.cut, time)
-    put_in(state.begun[number + 1], time)
+      true ->
+        :ok
+    end
+
+    {:noreply, state}
   end
 
   @impl true
@@ -96,82 +111,102 @@ defmodule Situ.Store.Pieces do
 
   @impl true
   def terminate(_reason, state),
-    do: Enum.each(state.open, fn {_, writer} -> Writer.close(writer) end)
+    do: Enum.each(state.open, fn {_, open} -> Writer.close(open.writer) end)
 
   defp oldest(%{open: open}, number) when map_size(open) == 0, do: number
   defp oldest(%{open: open}, _number), do: open |> Map.keys() |> Enum.min()
 
-  defp opened(%{open: open} = state, number) when is_map_key(open, number), do: {:ok, state}
+  defp opened(%{open: open} = state, number, _stream) when is_map_key(open, number),
+    do: {:ok, state}
 
-  defp opened(state, number) do
+  defp opened(state, number, stream) do
+    every = if is_integer(state.cut.every), do: state.cut.every
+    jump? = every != nil and state.open != %{} and not is_map_key(state.open, number - 1)
+
     with {:ok, writer} <- Writer.create(state.name, state.root, state.opts),
-         do: {:ok, %{state | open: Map.put(state.open, number, writer)}}
+         {:ok, _} <- Writer.catalog(writer, %{kind: "piece", every: every}) do
+      piece = %{
+        writer: writer,
+        path: writer.path,
+        # One that a stream has jumped to is not known to be whole before another one follows it.
+        duration: if(jump?, do: 0, else: every),
+        ended: nil,
+        size: 0
+      }
+
+      open = state.open |> followed(number - 1, every) |> Map.put(number, piece)
+      jumped = if jump? and number > newest(state.open), do: {number, stream}, else: state.jumped
+      {:ok, %{state | open: open, jumped: jumped}}
+    end
   end
+
+  defp newest(open), do: open |> Map.keys() |> Enum.max()
+
+  defp followed(open, number, every) when is_map_key(open, number),
+    do: put_in(open[number].duration, every)
+
+  defp followed(open, _number, _every), do: open
 
   defp stream_of(%{streams: streams} = state, number, name, _opts)
        when is_map_key(streams, {number, name}),
        do: {:ok, streams[{number, name}], state}
 
   defp stream_of(state, number, name, opts) do
-    with {:ok, stream} <- Writer.stream(state.open[number], name, opts),
+    with {:ok, stream} <- Writer.stream(state.open[number].writer, name, opts),
          do: {:ok, stream, %{state | streams: Map.put(state.streams, {number, name}, stream)}}
   end
 
-  # All but the two newest are closed, and the oldest of those closed deleted.
-  defp retain(state) do
+  # All but the two newest are closed.
+  defp close_old(state) do
     done = state.open |> Map.keys() |> Enum.sort(:desc) |> Enum.drop(2)
-
-    state =
-      Enum.reduce(done, state, fn number, state ->
-        {writer, open} = Map.pop(state.open, number)
-        _ = Writer.close(writer)
-        streams = Map.reject(state.streams, fn {{n, _}, _} -> n == number end)
-        %{state | open: open, made: Map.put(state.made, number, writer.path), streams: streams}
-      end)
-
-    if done == [], do: state, else: delete(state, surplus(state.keep, state))
+    Enum.reduce(Enum.reverse(done), state, &close_piece/2)
   end
 
-  defp delete(state, numbers) do
-    for number <- numbers, do: Folder.remove(state.made[number])
-    %{state | made: Map.drop(state.made, numbers)}
+  defp close_piece(number, state) do
+    {%{writer: writer} = piece, open} = Map.pop(state.open, number)
+    # Whether it says so only matters to how much of the recording later runs keep.
+    _ = if piece.duration != 0, do: Writer.catalog(writer, %{kind: "piece", full: true})
+    _ = Writer.close(writer)
+
+    piece =
+      piece |> Map.delete(:writer) |> Map.merge(%{ended: now(), size: Folder.size(piece.path)})
+
+    %{
+      state
+      | open: open,
+        closed: Enum.sort_by([piece | state.closed], &Folder.version(&1.path)),
+        ended: Map.delete(state.ended, number),
+        streams: Map.reject(state.streams, fn {{n, _}, _} -> n == number end)
+    }
   end
 
-  defp surplus(nil, _state), do: []
+  defp retain(state) do
+    open =
+      for {_, piece} <- Enum.sort_by(state.open, fn {_, piece} -> Folder.version(piece.path) end),
+          do: %{piece | size: Folder.size(piece.path)}
 
-  defp surplus({:span, span}, state) do
-    newest = state.open |> Map.keys() |> Enum.max()
+    {surplus, closed} =
+      Enum.split(state.closed, Retention.surplus(state.keep, state.closed, open, now()))
 
-    for {number, _} <- state.made,
-        begin(state, newest) - ending(state, number) >= span,
-        do: number
+    # One that cannot be deleted (another program writes it) is left, and tried again by the next run.
+    for piece <- surplus, do: Mending.delete(piece.path)
+    %{state | closed: closed}
   end
 
-  # The open ones count, too: what is on the disk is to stay within the limit.
-  defp surplus({:bytes, most}, state) do
-    open = state.open |> Map.values() |> Enum.map(&size(&1.path)) |> Enum.sum()
+  defp now, do: System.monotonic_time(:nanosecond)
 
-    {surplus, _} =
-      state.made
-      |> Enum.sort(:desc)
-      |> Enum.reduce({[], open}, fn {number, path}, {surplus, sum} ->
-        sum = sum + size(path)
-        {if(sum > most, do: [number | surplus], else: surplus), sum}
-      end)
+  # The others go on below a piece that one stream has jumped to: that one's clock is likely wrong, or it goes on where
+  # another recording was. A gap of all streams looks different.
+  defp warn_of_jump(%{jumped: {jumped, name}, cut: %{every: every}} = state, number, other)
+       when number < jumped and not is_map_key(state.open, number) and other != name do
+    Logger.warning(
+      "#{state.name}: #{inspect(name)} is #{Situ.Time.format_duration((jumped - number) * every)} " <>
+        "ahead of #{inspect(other)}: the originating times of one of them are likely wrong. All is recorded, and " <>
+        "`keep:` deletes nothing because of it."
+    )
 
-    surplus
+    %{state | jumped: nil}
   end
 
-  defp begin(%{cut: %{every: every}}, number) when is_integer(every), do: number * every
-  # The first one begins with its first message, before all others.
-  defp begin(state, number), do: Map.get(state.begun, number, 0)
-
-  defp ending(%{cut: %{every: every}}, number) when is_integer(every), do: (number + 1) * every
-  defp ending(state, number), do: Map.get(state.ended, number, 0)
-
-  defp size(path) do
-    for file <- Path.wildcard(Path.join(path, "*.situ")), reduce: 0 do
-      sum -> sum + File.stat!(file).size
-    end
-  end
+  defp warn_of_jump(state, _number, _other), do: state
 end

@@ -97,4 +97,103 @@ defmodule Situ.Store.PiecesTest do
     :ok = Store.Pieces.close(pieces)
     assert [_, _, _] = Store.list(root)
   end
+
+  describe "a message stamped in the future" do
+    @far 3 * 365 * 86_400_000_000_000
+
+    defp record_with(root, times, opts) do
+      {:ok, _} =
+        Pipeline.run(
+          fn p ->
+            store = Store.create(p, "hall", root, opts)
+            p |> Situ.from_enumerable(for(t <- times, do: {t, t})) |> Store.write(store, "N")
+
+            # One sound message, and one that is not.
+            p |> Situ.from_enumerable([{1, 0}, {@far, 1}]) |> Store.write(store, "B")
+          end,
+          pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+        )
+
+      root |> Store.list() |> Enum.flat_map(&numbers/1) |> Enum.sort()
+    end
+
+    test "deletes nothing of the others, and is reported", %{tmp_dir: root} do
+      times = Enum.map(0..299, &(&1 * 1_000))
+
+      log =
+        ExUnit.CaptureLog.capture_log(fn ->
+          kept = record_with(root, times, split: 10_000, keep: {:span, 100_000})
+          # So much before the newest piece, each message once.
+          assert kept == Enum.take(times, -length(kept))
+          assert length(kept) >= 100 and length(kept) < 300
+        end)
+
+      assert log =~ ~s(hall: "B" is) and log =~ ~s(ahead of "N")
+    end
+
+    test "of the only stream, too", %{tmp_dir: root} do
+      times = Enum.map(0..99, &(&1 * 1_000)) ++ [@far]
+      kept = record_with(root, times, split: 10_000, keep: {:span, 50_000})
+      assert kept == Enum.take(times, -length(kept)) and length(kept) >= 50
+    end
+
+    test "does not keep a piece that is cut by size from ending", %{tmp_dir: root} do
+      cut = Store.Pieces.Cut.new({:bytes, 100_000})
+      opts = [first_extent: 65_536, max_extent: 65_536]
+      {:ok, pieces} = Store.Pieces.start_link({"big", root, opts}, cut, nil)
+      message = &%Situ.Message{data: &2, originating_time: &1, creation_time: &1, sequence_id: &1}
+
+      append = fn name, time, data ->
+        number = Store.Pieces.Cut.number(cut, time)
+        {:ok, real, stream} = Store.Pieces.stream(pieces, number, name, [])
+        {:ok, _} = Store.Writer.append(stream, [message.(time, data)])
+        :ok = Store.Pieces.appended(pieces, cut, real, time)
+        # What was cast is done before what is called for.
+        {:ok, _, _} = Store.Pieces.stream(pieces, number, name, [])
+      end
+
+      append.("B", @far, "far ahead")
+      for i <- 1..200, do: append.("N", i, :crypto.strong_rand_bytes(5_000))
+      :ok = Store.Pieces.close(pieces)
+      found = Store.list(root)
+      assert length(found) in 7..12
+      assert Enum.flat_map(found, &times(&1, "N")) == Enum.to_list(1..200)
+      for path <- found, do: assert(path |> Store.open!() |> Store.count("N") |> Kernel.<(40))
+    end
+
+    defp times(path, name) do
+      store = Store.open!(path)
+      store |> Store.messages(name) |> Enum.map(& &1.originating_time)
+    end
+  end
+
+  describe "after a restart" do
+    test "what earlier runs left counts for `keep:`, and is deleted", %{tmp_dir: root} do
+      {:ok, other} = Store.Writer.create("hall", root)
+      :ok = Store.Writer.close(other)
+
+      for run <- 1..4 do
+        bytes = [split: {:bytes, 100_000}, keep: {:bytes, 250_000}, max_extent: 100_000]
+        pieces = record(root, 10_000 + run, [first_extent: 65_536] ++ bytes) -- [other.path]
+        size = pieces |> Enum.map(&Store.Folder.size/1) |> Enum.sum()
+        assert size < 250_000 + 100_000, "run #{run}: #{size} bytes"
+        assert List.last(numbers(List.last(pieces))) == 9_999 + run
+      end
+
+      # A recording of that name that is no piece is somebody's.
+      assert File.dir?(other.path)
+    end
+
+    test "short runs do not delete what a long one has recorded", %{tmp_dir: root} do
+      keep = [split: 10_000, keep: {:span, 50_000}]
+      long = record(root, 100, keep)
+      # Each begins a piece, and ends before it is whole.
+      for _ <- 1..10, do: record(root, 3, keep)
+      assert Enum.drop(long, 2) -- Store.list(root) == []
+      # Another long one takes its place.
+      record(root, 100, keep)
+      assert Enum.filter(long, &File.exists?/1) == []
+      assert length(Store.list(root)) < 12
+    end
+  end
 end

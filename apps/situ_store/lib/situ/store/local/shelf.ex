@@ -12,7 +12,7 @@ defmodule Situ.Store.Local.Shelf do
   @all <<0xFE>>
   @about <<0xFF>>
 
-  @type about :: %{name: String.t(), volatile?: boolean(), damage: term()}
+  @type about :: %{name: String.t(), volatile?: boolean(), piece: map() | nil, damage: term()}
 
   @doc "The store's name, whether it is one in memory, and what was wrong with its catalog."
   @spec about(reference(), Path.t()) :: about()
@@ -47,7 +47,13 @@ defmodule Situ.Store.Local.Shelf do
       for {_, info} <- Enum.sort(catalog.streams),
           do: %{info | store_name: name, store_path: path}
 
-    about = %{name: name, volatile?: catalog.volatile?, damage: damage}
+    about = %{
+      name: name,
+      volatile?: catalog.volatile?,
+      piece: catalog.piece,
+      damage: damage
+    }
+
     # Of two of one name the first is found by it, as in the list.
     named = for info <- Enum.reverse(streams), do: {info.name, :erlang.term_to_binary(info)}
 

@@ -35,6 +35,19 @@ defmodule Situ.Store.Pieces.Cut do
     if time >= from, do: number, else: number - 1
   end
 
+  @doc "The number of the newest piece that was begun by `cut/2`."
+  @spec newest(t()) :: integer()
+  def newest(%{newest: newest}), do: :atomics.get(newest, @number)
+
+  @doc """
+  Messages from `time` on belong to the newest piece, if they did not before: the time it begins at may have been a
+  wrong one, by which the piece before it would never end.
+  """
+  @spec lower(t(), Situ.Time.t()) :: :ok
+  def lower(%{newest: newest}, time) do
+    if time < :atomics.get(newest, @from), do: :atomics.put(newest, @from, time), else: :ok
+  end
+
   @doc "From `time` on a new piece."
   @spec cut(t(), Situ.Time.t()) :: :ok
   def cut(%{newest: newest}, time) do

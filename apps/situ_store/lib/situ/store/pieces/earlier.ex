@@ -1,0 +1,53 @@
+defmodule Situ.Store.Pieces.Earlier do
+  @moduledoc false
+  # The pieces that earlier runs of the same recorder left in its folder. A piece says in its catalog that it is one: any
+  # other recording of that name is somebody's, and is neither counted nor deleted.
+  alias Situ.Store.{Folder, Reading}
+
+  # Before this a computer's clock was not set: 2020.
+  @set 1_577_836_800_000_000_000
+
+  @type piece :: %{
+          path: Path.t(),
+          size: non_neg_integer(),
+          duration: non_neg_integer() | nil,
+          ended: integer() | nil
+        }
+
+  @doc """
+  The pieces of `name` below `root`, oldest first. `ended` is by the monotonic clock, which reads `now` when the
+  computer's reads `wall`; it is `nil` where the computer's clock was not set, or was set back since.
+  """
+  @spec list(String.t(), Path.t(), integer(), Situ.Time.t()) :: [piece()]
+  def list(name, root, now, wall) do
+    found =
+      for path <- Folder.list_versions(name, root),
+          {:ok, store} <- [Reading.open(path)],
+          %{piece: %{} = piece} = info <- [Reading.info(store)] do
+        {path, store, piece, info}
+      end
+
+    ends = found |> Enum.drop(1) |> Enum.map(fn {_, _, _, info} -> info.created end)
+
+    for {{path, store, piece, _info}, ended} <- Enum.zip(found, ends ++ [wall]) do
+      %{
+        path: path,
+        size: Folder.size(path),
+        duration: duration(piece, store),
+        ended: if(ended in @set..wall, do: now - (wall - ended))
+      }
+    end
+  end
+
+  # The last piece of a run is not whole: it counts for what is in it.
+  defp duration(%{"full" => true, "every" => every}, _store) when is_integer(every), do: every
+
+  defp duration(%{"every" => every}, store) when is_integer(every) do
+    case Reading.interval(store) do
+      nil -> 0
+      {first, last} -> min(last - first, every)
+    end
+  end
+
+  defp duration(_by_size, _store), do: nil
+end
