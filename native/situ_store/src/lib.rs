@@ -13,6 +13,7 @@ pub mod format;
 pub mod guard;
 pub mod index;
 pub mod limits;
+pub mod names;
 pub mod pyramid;
 pub mod reader;
 pub mod repair;

@@ -33,6 +33,9 @@ pub struct Report {
     pub dropped: u64,
     /// Chunks whose place in the index was lost and that were found in the data.
     pub recovered: u64,
+    /// Sound chunks at the end that are left out, since nothing says that they were ever acknowledged: the index that
+    /// would say it is lost.
+    pub doubtful: u64,
     /// Whether the index is (or, in a dry run, would be) a new one.
     pub rebuilt: bool,
     /// All damage found.
@@ -73,7 +76,7 @@ fn plan(dir: &Path, mut files: Files, progress: &mut impl FnMut(u64, u64)) -> Re
     files.expect(id, &mut damage);
 
     let good = check_claims(&claims, &files, &mut damage, progress);
-    let scan = if claims.whole() {
+    let mut scan = if claims.whole() {
         scan::Scan::default()
     } else {
         files.scan(&good, &mut damage, progress)
@@ -87,6 +90,15 @@ fn plan(dir: &Path, mut files: Files, progress: &mut impl FnMut(u64, u64)) -> Re
             1
         },
     });
+    let found = scan.numbered.keys().next_back().map_or(0, |last| last + 1);
+    // The header's word counts what was acknowledged, also where the entries themselves are gone. It has no checksum:
+    // it is believed as far as there are chunks.
+    let committed = match claims.header {
+        Some(_) => scan.committed.max(claims.published.min(found)),
+        None => scan.committed,
+    };
+    scan.committed = committed;
+    let doubtful = scan.numbered.range(committed..).count() as u64;
     let wanted = good.iter().filter(|claim| claim.is_some()).count() as u64;
     let (entries, lost) = if header.version == 1 {
         by_time(&claims, good, scan.unnumbered)
@@ -100,6 +112,7 @@ fn plan(dir: &Path, mut files: Files, progress: &mut impl FnMut(u64, u64)) -> Re
             kept,
             dropped: lost,
             recovered: kept.saturating_sub(wanted),
+            doubtful,
             rebuilt: !damage.is_empty(),
             damage,
         },

@@ -38,6 +38,8 @@ mod atoms {
         io,
         locked,
         held,
+        exists,
+        unsupported,
         no_store,
         not_a_store,
         newer_version,

@@ -12,6 +12,7 @@ use crate::index;
 
 /// As many bytes of the index stay mapped after they were taken in; those looked at for a message come back one by one.
 const MOST_RESIDENT: u64 = 1 << 20;
+const PAGE: u64 = 4096;
 
 /// The chunks of one stream at one level, in time order: the numbers of their entries, which stay in the mapped index.
 /// A store that is watched for days has millions of them.
@@ -100,6 +101,8 @@ pub(super) struct Index {
     /// Maps of the index's entries: (first byte, map).
     segments: Vec<(u64, Map)>,
     mapped: u64,
+    /// Where the last map ends if that is within a page.
+    tail: u64,
     pub loaded: u64,
     /// Entries read since the index's pages were released.
     looked_at: u64,
@@ -138,17 +141,22 @@ impl Index {
     pub fn load(&mut self, published: u64, file: &File) -> Result<u64> {
         self.mapped = self.mapped.max(INDEX_HEADER as u64);
         let wanted = (published.saturating_mul(ENTRY as u64)).saturating_add(INDEX_HEADER as u64);
-        if wanted > self.mapped {
+        if wanted > self.reach() {
             let length = file_length(file, index::FILE)?;
             // Whole pages only, so that the next segment can begin where this one ends.
-            let end = length / 4096 * 4096;
+            let end = length / PAGE * PAGE;
             if end > self.mapped {
-                let map = map_file(file, self.mapped, end - self.mapped, index::FILE)?;
-                self.segments.push((self.mapped, map));
+                self.map(file, end)?;
                 self.mapped = end;
             }
+            // A file that was cut short has sound entries up to its last byte. Should it grow after all, the page is
+            // mapped once more, and the later map is the one that counts.
+            if wanted > self.mapped && length > self.reach() {
+                self.map(file, length)?;
+                self.tail = length;
+            }
         }
-        let room = (self.mapped - INDEX_HEADER as u64) / ENTRY as u64;
+        let room = (self.reach() - INDEX_HEADER as u64) / ENTRY as u64;
         if published > room && !self.short {
             self.short = true;
             self.note(
@@ -196,6 +204,17 @@ impl Index {
             }
         }
         Ok(self.loaded)
+    }
+
+    /// How far the maps go.
+    fn reach(&self) -> u64 {
+        self.mapped.max(self.tail)
+    }
+
+    fn map(&mut self, file: &File, end: u64) -> Result<()> {
+        let map = map_file(file, self.mapped, end - self.mapped, index::FILE)?;
+        self.segments.push((self.mapped, map));
+        Ok(())
     }
 
     fn note(&mut self, offset: u64, why: &str) {

@@ -179,6 +179,11 @@ impl Scan {
             match sound(&map[at..]) {
                 Ok(header) => {
                     self.add(&header, (lane, number), at as u64);
+                    if is_end(&header, &map[at..]) {
+                        // Of no message, so it needs nothing behind it that says it was committed.
+                        let own = header.number.map_or(0, |number| number + 1);
+                        self.committed = self.committed.max(own);
+                    }
                     at += (header.length as usize).next_multiple_of(8);
                 }
                 Err(why) => {
@@ -220,6 +225,20 @@ impl Scan {
             None => self.unnumbered.push(entry),
         }
     }
+}
+
+/// Whether the chunk is the last record of a store that was closed.
+fn is_end(header: &ChunkHeader, bytes: &[u8]) -> bool {
+    if header.stream != CATALOG || header.count != 1 {
+        return false;
+    }
+    let Ok(body) = chunk::open(header, bytes, false, MAX_SMALL_BODY) else {
+        return false;
+    };
+    // Writers in other languages put spaces into their JSON.
+    let text = String::from_utf8_lossy(body.bytes());
+    let text: String = text.chars().filter(|c| !c.is_whitespace()).collect();
+    text.ends_with(r#"{"kind":"end"}"#)
 }
 
 /// The header of the chunk that `bytes` begin with, when all of it is sound.

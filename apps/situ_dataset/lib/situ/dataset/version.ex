@@ -3,6 +3,7 @@ defmodule Situ.Dataset.Version do
   # An unfinished store lies in a folder that no program takes for a store; complete, it becomes the next version
   # ROOT/NAME.NNNN.
   alias Situ.{Error, Store}
+  alias Situ.Store.AtomicFile
 
   @suffix ".unfinished"
 
@@ -27,11 +28,10 @@ defmodule Situ.Dataset.Version do
     number = base |> number() |> Kernel.+(1) |> Integer.to_string()
     folder = "#{path}.#{String.pad_leading(number, 4, "0")}"
 
-    # an empty folder would be replaced, and is no version
-    case File.rename(draft, folder) do
-      :ok ->
-        {:ok, folder}
-
+    # An empty folder would be replaced, and is not a version.
+    with :ok <- AtomicFile.sync_files(draft), :ok <- AtomicFile.rename(draft, folder) do
+      {:ok, folder}
+    else
       {:error, reason} when reason in [:eexist, :enotempty] ->
         {:error,
          Error.new(:newer_version, "#{folder} is there already",

@@ -55,6 +55,22 @@ defmodule Situ.Store.AtomicFile do
     end
   end
 
+  @doc "Brings the files in a folder to the disk, then their names. The first error is the answer."
+  @spec sync_files(Path.t()) :: :ok | {:error, File.posix()}
+  def sync_files(folder) do
+    with {:ok, names} <- File.ls(folder),
+         nil <- Enum.find_value(names, &sync_error(Path.join(folder, &1))),
+         do: sync_folder(folder)
+  end
+
+  defp sync_error(path) do
+    with {:ok, device} <- :file.open(path, [:read, :raw, :binary]) do
+      result = :file.sync(device)
+      _ = :file.close(device)
+      if result != :ok, do: result
+    end
+  end
+
   @doc """
   Brings the names in a folder to the disk. File systems that cannot do that (some of networks) are not asked for more
   than they give.

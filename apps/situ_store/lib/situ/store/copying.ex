@@ -20,7 +20,12 @@ defmodule Situ.Store.Copying do
     skip_damage: [type: :boolean, default: true, doc: "Leave damaged chunks out."],
     progress: [type: {:fun, 2}, doc: "`fun.(done, total)` of messages, as it goes."],
     versioned: [type: :boolean, default: true, doc: "Make a sub-folder `NAME.NNNN`."],
-    durability: [type: :any, default: :none, doc: "As `Situ.Store.Writer.create/3`."]
+    durability: [
+      type: :any,
+      default: :none,
+      doc:
+        "As `Situ.Store.Writer.create/3`, while it is written. The whole is on the disk in any case."
+    ]
   ]
   @crop_options @options ++
                   [
@@ -55,15 +60,13 @@ defmodule Situ.Store.Copying do
                      default: false,
                      doc: "Leave damaged chunks out."
                    )
-  @compacted ".compacted"
-  @before ".before-compaction"
-
   @doc """
   Rewrites a store in its place: many small commits become full chunks, holes and what was taken back are gone.
   `{:ok, path}`.
 
-  The new store is whole and on the disk before it takes the old one's name, and the old one is deleted last: a
-  program killed meanwhile leaves the recording under its own name, or as `NAME#{@before}`. Damage is an error unless
+  The new store is whole and on the disk before the two exchange their names in one step, and the old one is deleted
+  last: a program killed meanwhile leaves the recording under its own name. On a file system that cannot exchange names
+  it may be left as `NAME.before-compaction`, of which `repair/2` makes the recording again. Damage is an error unless
   `skip_damage: true`.
 
   #{Situ.Options.docs(@compact_options)}
@@ -74,13 +77,10 @@ defmodule Situ.Store.Copying do
 
     with {:ok, opts} <- Situ.Options.validate(opts, @compact_options),
          {:ok, folder} <- own(path),
-         fresh = folder <> @compacted,
-         :ok <- if(File.dir?(fresh), do: Folder.remove(fresh), else: :ok),
-         {:ok, ^fresh} <-
-           copy(folder, {Folder.name(folder), fresh}, [{:versioned, false} | opts]),
-         :ok <- Folder.keep_mode(fresh, folder),
-         :ok <- swap(folder, fresh),
-         do: {:ok, folder}
+         {:ok, store} <- Reading.open(folder) do
+      parts = for source <- sources(store), do: {elem(source, 1), [source]}
+      build({Folder.name(folder), Path.dirname(folder)}, parts, [{:replace, folder} | opts])
+    end
   end
 
   defp own(path) do
@@ -95,20 +95,6 @@ defmodule Situ.Store.Copying do
         true ->
           {:ok, store.path}
       end
-    end
-  end
-
-  defp swap(folder, fresh) do
-    with :ok <- File.rename(folder, folder <> @before),
-         :ok <- File.rename(fresh, folder) do
-      Folder.remove(folder <> @before)
-    else
-      {:error, reason} ->
-        {:error,
-         Error.new(:io, "cannot put the compacted store in the place of #{folder}",
-           why: to_string(:file.format_error(reason)),
-           fix: "both stores are complete: rename #{fresh} by hand"
-         )}
     end
   end
 

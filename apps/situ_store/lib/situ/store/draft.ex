@@ -1,49 +1,107 @@
 defmodule Situ.Store.Draft do
   @moduledoc false
   # A store made out of others. While it is written its folder is NAME.PID-N.unfinished, which nothing takes for a
-  # store; only the whole gets a name. The next program that makes a store of this name sweeps away the leftovers of a
-  # killed one.
+  # store; only the whole, on the disk, gets a name, in one step. The next program that makes a store of this name sweeps
+  # away the leftovers of a killed one.
   alias Situ.Error
-  alias Situ.Store.{Folder, Reading, Writer}
+  alias Situ.Store.{AtomicFile, FileLock, Folder, Reading, Replacement, Writer}
 
-  @doc "`work.(writer)` fills it and answers `:ok`; on an error nothing of it stays."
+  @doc """
+  `work.(writer)` fills it and answers `:ok`; on an error nothing of it stays. With `replace: folder` it takes the place
+  of that store.
+  """
   @spec make({String.t(), Path.t()}, keyword(), (Writer.t() -> :ok | {:error, Error.t()})) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def make({name, root}, opts, work) do
     root = Path.expand(root)
-    versioned? = Keyword.get(opts, :versioned, true)
-    base = if versioned?, do: Path.join(root, name), else: root
-    options = [versioned: false] ++ Keyword.take(opts, [:durability, :first_extent, :mode])
-    sweep(base)
+    target = target(name, root, opts)
+    base = if elem(target, 0) == :plain, do: root, else: Path.join(root, name)
 
-    with :ok <- free(name, root, versioned?),
-         {:ok, writer} <- Writer.create(name, unique(base), options) do
-      case filled(writer, work) do
-        :ok -> finish(writer.path, name, root, versioned?)
-        {:error, _} = error -> drop(writer, error)
+    with :ok <- free(target),
+         {:ok, draft, lock} <- claim(base) do
+      try do
+        sweep(base)
+        draft |> write(name, opts, work) |> finish(draft, target) |> explained()
+      after
+        FileLock.release(lock)
       end
     end
-    |> explained()
   end
 
-  defp unique(base),
-    do: "#{base}.#{System.pid()}-#{System.unique_integer([:positive])}#{Folder.unfinished()}"
+  defp target(name, root, opts) do
+    cond do
+      opts[:replace] -> {:replace, opts[:replace]}
+      Keyword.get(opts, :versioned, true) -> {:version, name, root}
+      true -> {:plain, name, root}
+    end
+  end
 
   # Refuses a name that is taken before the work starts, not after it.
-  defp free(_name, _root, true), do: :ok
-
-  defp free(name, root, false) do
+  defp free({:plain, name, root}) do
     with {:ok, _} <- Folder.create(name, root, false), do: :ok
   end
 
-  defp filled(writer, work) do
-    with :ok <- work.(writer), do: Writer.close(writer)
+  defp free({:version, name, _root}), do: Folder.check_name(name)
+  defp free({:replace, _folder}), do: :ok
+
+  # Whoever makes a draft holds its lock, until it has its name: nobody else may sweep it away.
+  defp claim(base) do
+    draft = "#{base}.#{System.pid()}-#{System.unique_integer([:positive])}#{Folder.unfinished()}"
+
+    with :ok <- Folder.make_parents(base),
+         {:ok, lock} <- FileLock.acquire(lock_of(draft)),
+         do: {:ok, draft, lock}
   end
 
-  defp drop(writer, error) do
-    _ = Writer.close(writer)
-    _ = Folder.remove(writer.path)
-    error
+  defp lock_of(draft), do: draft <> ".lock"
+
+  defp write(draft, name, opts, work) do
+    options = [versioned: false] ++ Keyword.take(opts, [:durability, :first_extent, :mode])
+
+    with {:ok, writer} <- Writer.create(name, draft, options) do
+      result = with :ok <- work.(writer), do: Writer.close(writer)
+      _ = if result != :ok, do: Writer.close(writer)
+      result
+    end
+  end
+
+  defp finish(:ok, draft, target) do
+    with :ok <- sync(draft), {:ok, path} <- place(draft, target) do
+      {:ok, path}
+    else
+      {:error, error} -> drop(draft, error)
+    end
+  end
+
+  defp finish({:error, error}, draft, _target), do: drop(draft, error)
+
+  defp drop(draft, error) do
+    _ = if File.dir?(draft), do: Folder.remove(draft)
+    {:error, error}
+  end
+
+  # Whoever deletes the original next, and then has a power cut, still has the copy.
+  defp sync(draft) do
+    with {:error, reason} <- AtomicFile.sync_files(draft),
+         do: {:error, Folder.io_error("bring #{draft} to the disk", reason)}
+  end
+
+  defp place(draft, {:version, name, root}), do: Folder.place(draft, name, root)
+  defp place(draft, {:plain, _name, root}), do: move(draft, root)
+  defp place(draft, {:replace, folder}), do: Replacement.put(draft, folder)
+
+  # A folder that holds other things already gets the files; the index last, with which it is a store.
+  defp move(draft, path) do
+    with {:error, reason} when reason in [:eexist, :enotempty] <- AtomicFile.rename(draft, path) do
+      names = draft |> File.ls!() |> Enum.sort() |> Enum.sort_by(&(&1 == "index.situ"))
+      for name <- names, do: :ok = File.rename(Path.join(draft, name), Path.join(path, name))
+      AtomicFile.sync_folder(path)
+      File.rmdir(draft)
+    end
+    |> case do
+      :ok -> {:ok, path}
+      {:error, reason} -> {:error, Folder.io_error("give #{draft} its name", reason)}
+    end
   end
 
   defp explained({:error, %{code: :disk_full} = error}) do
@@ -53,41 +111,29 @@ defmodule Situ.Store.Draft do
 
   defp explained(result), do: result
 
-  defp finish(draft, name, root, versioned?) do
-    with {:ok, path} <- Folder.create(name, root, versioned?),
-         :ok <- move(draft, path) do
-      {:ok, path}
-    else
-      {:error, %Error{}} = error ->
-        error
-
-      {:error, reason} ->
-        {:error,
-         Error.new(:io, "cannot give #{draft} its name",
-           why: to_string(:file.format_error(reason)),
-           fix: "rename the folder by hand; the store in it is whole"
-         )}
-    end
-  end
-
-  # A folder that holds other things already gets the files; the index last, with which it is a store.
-  defp move(draft, path) do
-    with {:error, reason} when reason in [:eexist, :enotempty] <- File.rename(draft, path) do
-      names = draft |> File.ls!() |> Enum.sort() |> Enum.sort_by(&(&1 == "index.situ"))
-      for name <- names, do: :ok = File.rename(Path.join(draft, name), Path.join(path, name))
-      File.rmdir(draft)
-    end
-  end
-
   defp sweep(base) do
     prefix = Path.basename(base) <> "."
 
-    for entry <- ls(Path.dirname(base)),
-        String.starts_with?(entry, prefix) and Folder.unfinished?(entry),
-        path = Path.join(Path.dirname(base), entry),
-        {:ok, store} <- [Reading.open(path)],
-        not Reading.live?(store),
-        do: Folder.remove(path)
+    drafts =
+      for entry <- ls(Path.dirname(base)),
+          String.starts_with?(entry, prefix),
+          entry = String.replace_suffix(entry, ".lock", ""),
+          Folder.unfinished?(entry),
+          uniq: true,
+          do: Path.join(Path.dirname(base), entry)
+
+    for path <- drafts, not live?(path), {:ok, lock} <- [FileLock.acquire(lock_of(path))] do
+      _ = if File.dir?(path), do: Folder.remove(path)
+      FileLock.release(lock)
+    end
+  end
+
+  # Of an older release, which holds only the writer's lock.
+  defp live?(path) do
+    case Reading.open(path) do
+      {:ok, store} -> Reading.live?(store)
+      {:error, _} -> false
+    end
   end
 
   defp ls(folder) do

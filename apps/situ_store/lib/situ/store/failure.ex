@@ -37,6 +37,13 @@ defmodule Situ.Store.Failure do
     )
   end
 
+  def error(:compaction_interrupted, path, _stream) do
+    Error.new(:compaction_interrupted, "the store #{path} is without its name",
+      why: "a compaction was killed while it put the new store in its place; nothing is lost",
+      fix: "`situ store repair '#{path}'` gives it its name back"
+    )
+  end
+
   def error(:index_lost, path, _stream) do
     Error.new(:index_lost, "the store #{path} has lost its index",
       why: "there is no index.situ in it",

@@ -2,7 +2,7 @@ defmodule Situ.Store.Folder do
   @moduledoc false
   # Where stores lie: root/name.NNNN, the highest number being the newest.
   alias Situ.Error
-  alias Situ.Store.Formats
+  alias Situ.Store.{AtomicFile, Failure, Formats, Native}
 
   @index "index.situ"
 
@@ -118,7 +118,59 @@ defmodule Situ.Store.Folder do
 
   # A file in the place of the folder gives "exists", which does not help anybody.
   defp parent(path) do
-    with {:error, :eexist} <- File.mkdir_p(path), do: {:error, :enotdir}
+    with {:error, :eexist} <- AtomicFile.make_folder(path), do: {:error, :enotdir}
+  end
+
+  @doc "Makes the folders in which a store of this path is to be."
+  @spec make_parents(Path.t()) :: :ok | {:error, Error.t()}
+  def make_parents(path) do
+    with {:ok, _} <- mkdir(Path.dirname(path), fn -> parent(Path.dirname(path)) end), do: :ok
+  end
+
+  @doc "Gives a whole store the name of the next version of `name` below `root`, in one step: `{:ok, path}`."
+  @spec place(Path.t(), String.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def place(from, name, root) do
+    with :ok <- check_name(name),
+         do: place(from, name, root, next(name, root))
+  end
+
+  defp place(from, name, root, version) do
+    path = Path.join(root, "#{name}.#{pad(version)}")
+
+    case Native.rename_new(from, path) do
+      :ok ->
+        AtomicFile.sync_folder(root)
+        {:ok, path}
+
+      # Another process took this number: the next one is ours.
+      :exists ->
+        place(from, name, root, version + 1)
+
+      :unsupported ->
+        place_over(from, name, root)
+
+      {:error, reason} ->
+        {:error, Failure.error(reason, path)}
+    end
+  end
+
+  # An empty folder keeps the name for us until the store takes its place.
+  defp place_over(from, name, root) do
+    with {:ok, path} <- create_version(name, root, next(name, root)) do
+      case AtomicFile.rename(from, path) do
+        :ok -> {:ok, path}
+        {:error, reason} -> {:error, io_error("give #{from} its name", reason)}
+      end
+    end
+  end
+
+  @doc "An error of a file's operation, `what` could not be done."
+  @spec io_error(String.t(), File.posix()) :: Error.t()
+  def io_error(what, reason) do
+    Error.new(code(reason), "cannot #{what}",
+      why: to_string(:file.format_error(reason)),
+      fix: "check the folder and its permissions"
+    )
   end
 
   defp mkdir(path, make) do
@@ -144,8 +196,14 @@ defmodule Situ.Store.Folder do
   def newest(name, root) do
     case versions(name, root) do
       [] -> nil
-      versions -> Path.join(root, "#{name}.#{pad(Enum.max(versions))}")
+      versions -> newest_of(Enum.sort(versions, :desc), name, root)
     end
+  end
+
+  # A writer that was killed before it had a file leaves an empty folder, which is no recording and hides none.
+  defp newest_of(versions, name, root) do
+    paths = for version <- versions, do: Path.join(root, "#{name}.#{pad(version)}")
+    Enum.find(paths, hd(paths), &(File.ls(&1) != {:ok, []}))
   end
 
   @doc "The folders of all versions of `name` below `root`, oldest first."
@@ -253,7 +311,9 @@ defmodule Situ.Store.Folder do
 
   defp pad(version), do: version |> Integer.to_string() |> String.pad_leading(4, "0")
 
-  defp check_name(name) do
+  @doc "Whether a store can be called so."
+  @spec check_name(term()) :: :ok | {:error, Error.t()}
+  def check_name(name) do
     if is_binary(name) and name =~ ~r/\A[^\/\0]{1,200}\z/ and name not in [".", ".."] do
       :ok
     else

@@ -3,7 +3,7 @@ defmodule Situ.Store.Mending do
   Checking, mending, deleting and renaming stores. Called through `Situ.Store`.
   """
   alias Situ.Error
-  alias Situ.Store.{Failure, Folder, Handle, Local, Native, Reading}
+  alias Situ.Store.{Failure, Folder, Handle, Local, Native, Reading, Replacement}
 
   @typedoc "A wrong place: the file, the byte, and what is wrong there."
   @type damage :: %{file: String.t(), offset: non_neg_integer(), why: String.t()}
@@ -41,11 +41,12 @@ defmodule Situ.Store.Mending do
     do: {:error, Error.new(:not_a_store, "#{store.path} is a foreign file, not a store")}
 
   @doc """
-  Makes a store whole that was not closed or is damaged: `{:ok, %{kept, dropped, recovered, rebuilt?, damage}}`.
+  Makes a store whole that was not closed or is damaged: `{:ok, %{kept, dropped, recovered, doubtful, rebuilt?, damage}}`.
 
   A sound store that was merely not closed is cut to size and marked closed. Every chunk that could be read before is
   kept. Where the index is damaged or lost, its places are filled from the data with the chunks that are known to have
-  been committed (`recovered`); chunks that are damaged themselves are left out (`dropped`). The data files are not
+  been committed (`recovered`); chunks that are damaged themselves are left out (`dropped`). Where the whole index is lost, so
+  is what says that the last commit of a killed writer was acknowledged: it is left out (`doubtful`). The data files are not
   rewritten, but for the header of an extent when that is damaged; the old index stays as `index.situ.before-repair`,
   with a number where there is one already.
 
@@ -54,19 +55,30 @@ defmodule Situ.Store.Mending do
   @spec repair(Path.t(), keyword()) :: {:ok, map()} | {:error, Error.t()}
   def repair(path, opts \\ []) do
     path = Path.expand(path)
-    folder = Folder.resolve(path) || path
 
-    with {:ok, opts} <- Situ.Options.validate(opts, @repair_options),
-         {:ok, {kept, dropped, recovered, rebuilt?, damage}} <-
+    with {:ok, folder} <- find_to_repair(path, opts[:dry_run]),
+         {:ok, opts} <- Situ.Options.validate(opts, @repair_options),
+         {:ok, {kept, dropped, recovered, doubtful, rebuilt?, damage}} <-
            folder |> mend(opts[:dry_run], progress(opts)) |> Failure.wrap(folder) do
       {:ok,
        %{
          kept: kept,
          dropped: dropped,
          recovered: recovered,
+         doubtful: doubtful,
          rebuilt?: rebuilt?,
          damage: places(damage)
        }}
+    end
+  end
+
+  # A compaction that was killed in the middle may have left the store without its name.
+  defp find_to_repair(path, dry?) do
+    case {Folder.resolve(path), Replacement.interrupted(path)} do
+      {nil, nil} -> {:ok, path}
+      {nil, folder} when dry? == true -> {:error, Failure.error(:compaction_interrupted, folder)}
+      {nil, folder} -> with(:ok <- Replacement.restore(folder), do: {:ok, folder})
+      {folder, _} -> {:ok, folder}
     end
   end
 
@@ -105,14 +117,7 @@ defmodule Situ.Store.Mending do
   def rename(path, name) do
     with {:ok, folder} <- resolve(path),
          :ok <- idle(folder),
-         root = Path.dirname(folder),
-         {:ok, target} <- Folder.create(name, root, true),
-         :ok <- File.rename(folder, target) do
-      {:ok, target}
-    else
-      {:error, %Error{}} = error -> error
-      {:error, reason} -> {:error, Error.new(:io, "cannot rename #{path}", why: inspect(reason))}
-    end
+         do: Folder.place(folder, name, Path.dirname(folder))
   end
 
   defp resolve(path) do

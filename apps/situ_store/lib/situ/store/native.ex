@@ -52,6 +52,8 @@ defmodule Situ.Store.Native do
   def file_lock(_path, _holder), do: missing()
   def file_lock_give(_lock, _pid), do: missing()
   def file_unlock(_lock), do: missing()
+  def rename_new(_from, _to), do: missing()
+  def rename_exchange(_one, _other), do: missing()
   def reader_await(_reader, _known, _pid, _tag), do: missing()
 
   defp missing, do: :erlang.nif_error(:nif_not_loaded)

@@ -2,7 +2,7 @@ defmodule Situ.Store.Reading do
   @moduledoc false
   # Reads open recordings of any format. Public as `Situ.Store`, where the documentation is.
   alias Situ.{Error, Message, Options}
-  alias Situ.Store.{Evolution, Failure, Folder, Formats, Handle, Local, StreamInfo}
+  alias Situ.Store.{Evolution, Failure, Folder, Formats, Handle, Local, Replacement, StreamInfo}
 
   @open_options [
     verify: [
@@ -105,8 +105,15 @@ defmodule Situ.Store.Reading do
   defp find_folder(path, folder) do
     case {Formats.for_folder(path), folder} do
       {{module, path}, _} -> {:ok, path, module}
-      {nil, nil} -> {:error, Failure.error(:no_store, path)}
+      {nil, nil} -> {:error, none_at(path)}
       {nil, folder} -> {:ok, folder, Local}
+    end
+  end
+
+  defp none_at(path) do
+    case Replacement.interrupted(path) do
+      nil -> Failure.error(:no_store, path)
+      folder -> Failure.error(:compaction_interrupted, folder)
     end
   end
 

@@ -73,7 +73,7 @@ defmodule Situ.Store.Writer do
   #{Situ.Options.docs(@stream_options)}
   """
   alias Situ.{Error, Message, Options}
-  alias Situ.Store.{Catalog, Codecs, Failure, Folder, Native, Terms, TypeName}
+  alias Situ.Store.{AtomicFile, Catalog, Codecs, Failure, Folder, Native, Terms, TypeName}
 
   @enforce_keys [:ref, :path, :name]
   defstruct [:ref, :path, :name]
@@ -105,6 +105,8 @@ defmodule Situ.Store.Writer do
              opts[:mode]
            )
            |> Failure.wrap(path) do
+      # What is on the disk is to be found there, too.
+      if opts[:durability] != :none, do: AtomicFile.sync_folder(Path.dirname(path))
       writer = %__MODULE__{ref: ref, path: path, name: name}
       record = %{kind: "store", name: name, writer: "situ 0.1.0", volatile: opts[:volatile]}
 

@@ -32,6 +32,7 @@ defmodule Situ.Store.DraftTest do
     refute Enum.any?(Store.list(root), &(&1 =~ "out"))
     assert swept(path, root)
     assert data(Path.join(root, "out"), "N") == Enum.to_list(1..10)
+    assert Path.wildcard(Path.join(root, "out.*.lock")) == []
   end
 
   # The dead process gives its lock up when its memory is collected.
@@ -41,6 +42,39 @@ defmodule Situ.Store.DraftTest do
       {:ok, _} = Store.copy(path, {"out", root})
       Path.wildcard(Path.join(root, "out.*.unfinished")) == []
     end)
+  end
+
+  test "a draft that is whole and waits for its name is not swept away", %{tmp_dir: root} do
+    path = store(root, [{"N", messages([1, 2]), []}])
+    test = self()
+
+    first =
+      Task.async(fn ->
+        Store.copy(path, {"out", root},
+          progress: fn done, total ->
+            if done == total do
+              send(test, :nearly)
+              receive do: (:go -> :ok)
+            end
+          end
+        )
+      end)
+
+    assert_receive :nearly, 30_000
+    assert {:ok, second} = Store.copy(path, {"out", root})
+    send(first.pid, :go)
+    assert {:ok, path} = Task.await(first, 30_000)
+    assert {Path.basename(second), Path.basename(path)} == {"out.0000", "out.0001"}
+    assert data(path, "N") == [1, 2]
+  end
+
+  test "an empty folder that a killed writer left hides no recording", %{tmp_dir: root} do
+    path = store(root, [{"N", messages([1, 2]), []}])
+    {:ok, copy} = Store.copy(path, {"out", root})
+    File.mkdir!(Path.join(root, "out.0001"))
+    assert {:ok, %{path: ^copy}} = Store.open(Path.join(root, "out"))
+    assert {:ok, next} = Store.copy(path, {"out", root})
+    assert Path.basename(next) == "out.0002"
   end
 
   test "a store that cannot even begin leaves no folder behind", %{tmp_dir: root} do

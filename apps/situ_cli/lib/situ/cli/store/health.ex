@@ -92,10 +92,16 @@ defmodule Situ.CLI.Store.Health do
       )
 
       places(report.damage)
+      if report.doubtful > 0, do: Output.puts(doubt(report.doubtful))
       Output.puts(done(report, dry?))
     end
 
     0
+  end
+
+  defp doubt(n) do
+    "#{Output.number(n, "chunk")} at the end left out: sound, but the index that would say whether its writer had " <>
+      "acknowledged it is lost."
   end
 
   defp done(_report, true), do: "Nothing was changed (--dry-run)."

@@ -1,0 +1,77 @@
+defmodule Situ.Store.ReplacementTest do
+  # A compaction killed at any of its steps: the recording is there under its name, or repair gives it back.
+  use ExUnit.Case, async: true
+  import Situ.Store.Test.Record
+  alias Situ.Store
+  alias Situ.Store.Replacement
+
+  @moduletag :tmp_dir
+
+  setup context do
+    root = context.tmp_dir
+    path = store(root, [{"N", messages(Enum.to_list(1..50)), []}])
+    %{root: root, path: path}
+  end
+
+  defp data(path), do: path |> Store.open!() |> Store.messages("N") |> Enum.map(& &1.data)
+
+  test "killed while the new store is written, or before the names are exchanged", ctx do
+    test = self()
+    writing = fn _, _ -> send(test, :writing) && Process.sleep(:infinity) end
+    {pid, monitor} = spawn_monitor(fn -> Store.compact(ctx.path, progress: writing) end)
+    assert_receive :writing, 30_000
+    Process.exit(pid, :kill)
+    assert_receive {:DOWN, ^monitor, _, _, _}
+    assert data(ctx.path) == Enum.to_list(1..50)
+    assert Store.list(ctx.root) == [ctx.path]
+  end
+
+  test "killed after the exchange: the old store lies there as something unfinished", ctx do
+    {:ok, old} = Store.copy(ctx.path, {"old", ctx.root})
+    left = Path.join(ctx.root, "#{Store.Folder.name(ctx.path)}.4711-1.unfinished")
+    File.rename!(old, left)
+    assert Store.list(ctx.root) == [ctx.path]
+    assert {:ok, _} = Store.compact(ctx.path)
+    assert File.ls!(ctx.root) == [Path.basename(ctx.path)]
+    assert data(ctx.path) == Enum.to_list(1..50)
+  end
+
+  test "killed between two renames, where names cannot be exchanged", %{path: path, root: root} do
+    File.cp_r!(path, path <> ".compacted")
+    File.rename!(path, path <> ".before-compaction")
+
+    for asked <- [path, Path.join(root, Store.Folder.name(path))] do
+      assert {:error, %{code: :compaction_interrupted, fix: fix}} = Store.open(asked)
+      assert fix =~ "situ store repair"
+    end
+
+    assert {:error, %{code: :compaction_interrupted}} = Store.repair(path, dry_run: true)
+
+    assert {:ok, %{dropped: 0, damage: []}} =
+             Store.repair(Path.join(root, Store.Folder.name(path)))
+
+    assert data(path) == Enum.to_list(1..50)
+    assert File.ls!(root) == [Path.basename(path)]
+  end
+
+  test "killed after both renames: the recording has its name", %{path: path} do
+    fresh = path <> ".fresh"
+    File.cp_r!(path, fresh)
+    assert {:ok, old} = Replacement.rename_both(fresh, path)
+    assert old == path <> ".before-compaction" and File.dir?(old)
+    assert data(path) == Enum.to_list(1..50)
+    assert Replacement.interrupted(path) == nil
+  end
+
+  test "two renames of which the second fails leave all as it was", %{path: path} do
+    assert {:error, %Situ.Error{}} = Replacement.rename_both(path <> ".nothing", path)
+    assert data(path) == Enum.to_list(1..50)
+  end
+
+  test "what lies beside the recording stays beside it", %{path: path} do
+    File.write!(Path.join(path, "notes.txt"), "mine")
+    assert {:ok, ^path} = Store.compact(path)
+    assert File.read!(Path.join(path, "notes.txt")) == "mine"
+    assert data(path) == Enum.to_list(1..50)
+  end
+end
