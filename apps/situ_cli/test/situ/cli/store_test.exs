@@ -44,11 +44,47 @@ defmodule Situ.CLI.StoreTest do
     assert text =~ ~r/Room.Level +:integer +100 +1.0 Hz .* 2.00 ms/
     assert text =~ "1970-01-01T00:00:00.000000000Z .. 1970-01-01T00:01:39"
 
-    assert %{"closed" => true, "streams" => [%{"count" => 100, "rate" => 1.0}, _]} =
+    assert [%{"closed" => true, "streams" => [%{"count" => 100, "rate" => 1.0}, _]}] =
              json(["info", path, "--json"])
+
+    # The same shape of a folder that is a recording, of one with a recording in it, and of several.
+    assert [[%{"closed" => true}], [%{"closed" => true}], [%{"closed" => true}, _]] =
+             for(args <- [[path], [root], [path, path]], do: json(["info", "--json" | args]))
+
+    assert refused(["info", Path.join(root, "gone"), "--json"]) =~ "no store"
 
     {0, list} = run(["info", root])
     assert list =~ "lobby.0000  2 streams, 1 min 39 s"
+    assert text =~ "1 min 39 s (not real time)"
+  end
+
+  test "info says what it does not know, and what means nothing", %{tmp_dir: root} do
+    csv = Path.join(root, "level.csv")
+    File.write!(csv, "time,level\n1,2\n2,3\n")
+    {0, text} = run(["info", csv])
+    assert text =~ ~r/level .* -  +-  +- / and not (text =~ "0 B")
+
+    assert [%{"streams" => [%{"size" => nil, "average_latency" => nil, "count" => 2} | _]}] =
+             json(["info", csv, "--json"])
+
+    {:ok, writer} = Writer.create("fast", root)
+    {:ok, stream} = Writer.stream(writer, "S")
+    early = for i <- 1..3, do: %{message(i, i) | creation_time: 0}
+    {:ok, _} = Writer.append(stream, early)
+    :ok = Writer.close(writer)
+    assert elem(run(["info", writer.path]), 1) =~ ~r/S .* not real time/
+    assert elem(run(["info", writer.path, "-s", "S"]), 1) =~ "latency     not real time"
+  end
+
+  test "info of a piece says that there are others", %{tmp_dir: root} do
+    for _ <- 1..2 do
+      {:ok, writer} = Writer.create("hall", root)
+      {:ok, _} = Writer.catalog(writer, %{kind: "piece", every: 10})
+      :ok = Writer.close(writer)
+    end
+
+    {0, text} = run(["info", Path.join(root, "hall")])
+    assert text =~ "one piece of a recording, beside 1 other: `situ store info '#{root}/hall.*'`"
   end
 
   test "crop, copy, concat, edit, rename, delete", %{path: path, tmp_dir: root} do

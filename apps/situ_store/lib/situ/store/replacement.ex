@@ -63,14 +63,21 @@ defmodule Situ.Store.Replacement do
   @doc "The store (by the name it is to have) whose replacement was interrupted: `path`, or the newest version of it."
   @spec interrupted(Path.t()) :: Path.t() | nil
   def interrupted(path) do
-    versions = Path.wildcard(escape(path) <> ".[0-9]*" <> @before)
-
-    [path <> @before | Enum.sort(versions, :desc)]
-    |> Enum.map(&String.replace_suffix(&1, @before, ""))
+    [path | versions(Path.dirname(path), Path.basename(path))]
     |> Enum.find(&(File.dir?(&1 <> @before) and not File.exists?(&1)))
   end
 
-  defp escape(path), do: String.replace(path, ~r/[\\*?\[\]{},]/, "\\\\\\0")
+  defp versions(root, name) do
+    with {:ok, entries} <- File.ls(root) do
+      for entry <- Enum.sort(entries, :desc),
+          String.starts_with?(entry, name <> ".") and String.ends_with?(entry, @before),
+          version = binary_part(entry, 0, byte_size(entry) - byte_size(@before)),
+          Regex.match?(~r/\.\d{4,}\z/, version),
+          do: Path.join(root, version)
+    else
+      {:error, _} -> []
+    end
+  end
 
   @doc "Gives the store its name back."
   @spec restore(Path.t()) :: :ok | {:error, Error.t()}

@@ -5,10 +5,12 @@ defmodule Situ.CLI.Store.Details do
   alias Situ.{Store, Time}
   alias Situ.Store.StreamInfo
 
+  @not_real "not real time"
+
   @spec print(Store.Handle.t(), String.t(), boolean()) :: :ok
   def print(store, name, json?) do
     case Store.stream_info(store, name) do
-      {:ok, info} when json? -> info |> json() |> Output.json()
+      {:ok, info} when json? -> store |> json(info) |> Output.json()
       {:ok, info} -> text(store, info)
       {:error, error} -> raise error
     end
@@ -32,10 +34,8 @@ defmodule Situ.CLI.Store.Details do
       {"messages", "#{info.count}, #{rate(info)}"},
       {"happened", span(info.first, info.last)},
       {"created", span(info.first_creation, info.last_creation)},
-      {"size",
-       "#{Output.bytes(info.size)}, #{average(info)} each; #{Output.bytes(info.stored)} on disk"},
-      {"latency",
-       "#{latency(info)} on average, #{Time.format_duration(info.latency_sum)} in all"},
+      {"size", size(store, info)},
+      {"latency", latency_in_all(store, info)},
       {"stored", stored(info)}
     ]
   end
@@ -61,7 +61,35 @@ defmodule Situ.CLI.Store.Details do
   defp span(nil, _), do: "-"
   defp span(from, to), do: "#{time(from)} .. #{time(to)}, #{Time.format_duration(to - from)}"
 
-  defp average(info), do: Output.bytes(round(StreamInfo.average_size(info) || 0))
+  defp size(store, info) do
+    if known?(store, info, info.size) or known?(store, info, info.stored) do
+      "#{bytes(store, info, info.size)}, #{bytes(store, info, StreamInfo.average_size(info))} each; " <>
+        "#{bytes(store, info, info.stored)} on disk"
+    else
+      "unknown"
+    end
+  end
+
+  defp latency_in_all(store, info) do
+    case latency(store, info) do
+      @not_real -> @not_real <> ": the messages were not created when they happened"
+      "-" -> "unknown"
+      average -> "#{average} on average, #{Time.format_duration(info.latency_sum)} in all"
+    end
+  end
+
+  # Readers of other systems' files that know no sizes or creation times leave them at nothing.
+  defp known?(%{module: Store.Local}, _info, _value), do: true
+  defp known?(_foreign, %{count: 0}, _value), do: true
+  defp known?(_foreign, _info, value), do: value not in [nil, 0, 0.0]
+
+  @doc "A size in words, or `-` where the reader does not know it."
+  @spec bytes(Store.Handle.t(), StreamInfo.t(), number() | nil) :: String.t()
+  def bytes(store, info, size) do
+    if known?(store, info, size), do: Output.bytes(round(size || 0)), else: "-"
+  end
+
+  defp or_nil(store, info, value), do: if(known?(store, info, value), do: value)
 
   defp stored(info) do
     lane = if info.large?, do: "each message by itself", else: "in chunks"
@@ -69,21 +97,24 @@ defmodule Situ.CLI.Store.Details do
     "#{lane}, compression #{info.compression}#{codecs}"
   end
 
-  @doc "For programs."
-  @spec json(StreamInfo.t()) :: map()
-  def json(info) do
+  @doc "For programs; what is not known is `nil`."
+  @spec json(Store.Handle.t(), StreamInfo.t()) :: map()
+  def json(store, info) do
     info
-    |> Map.take([:id, :name, :store_name, :store_path, :count, :size, :stored, :first, :last])
+    |> Map.take([:id, :name, :store_name, :store_path, :count, :first, :last])
     |> Map.merge(Map.take(info, [:first_creation, :last_creation, :opened, :closed]))
-    |> Map.merge(Map.take(info, [:compression, :latency_sum, :fields]))
+    |> Map.merge(Map.take(info, [:compression, :fields]))
     |> Map.merge(%{
+      size: or_nil(store, info, info.size),
+      stored: or_nil(store, info, info.stored),
+      latency_sum: or_nil(store, info, info.latency_sum),
       type: info.type_name,
       large: info.large?,
       codecs: for({_, {name, _}} <- info.codecs, do: name),
       metadata: metadata(info),
       rate: StreamInfo.rate(info),
-      average_size: StreamInfo.average_size(info),
-      average_latency: StreamInfo.average_latency(info)
+      average_size: or_nil(store, info, StreamInfo.average_size(info)),
+      average_latency: or_nil(store, info, StreamInfo.average_latency(info))
     })
   end
 
@@ -106,12 +137,25 @@ defmodule Situ.CLI.Store.Details do
     end
   end
 
-  @doc "The average latency."
-  @spec latency(StreamInfo.t()) :: String.t()
-  def latency(info) do
-    case StreamInfo.average_latency(info) do
-      nil -> "-"
-      ns -> Time.format_duration(round(ns))
+  @doc """
+  The average latency. Of a replay that ran as fast as it could it means nothing: messages are created before they
+  happened.
+  """
+  @spec latency(Store.Handle.t(), StreamInfo.t()) :: String.t()
+  def latency(store, info) do
+    average = StreamInfo.average_latency(info)
+
+    cond do
+      average == nil or not known?(store, info, average) -> "-"
+      average < 0 -> @not_real
+      true -> Time.format_duration(round(average))
     end
   end
+
+  # Clocks of computers that are not set begin at 1970, as replays without a date do.
+  @real 946_684_800_000_000_000
+
+  @doc "Whether a time can be one that a computer's clock has shown: after 2000."
+  @spec real_time?(Time.t()) :: boolean()
+  def real_time?(time), do: time >= @real
 end

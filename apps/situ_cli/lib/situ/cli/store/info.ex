@@ -10,7 +10,9 @@ defmodule Situ.CLI.Store.Info do
   @doc "Of one recording all, of several (or the recordings in a folder) a line each."
   @spec run([Path.t()], keyword()) :: 0 | 1
   def run([path], opts) do
-    if folder?(path), do: list([path], opts), else: one(path, opts)
+    if folder?(path) or (opts[:json] && opts[:stream] == nil),
+      do: list([path], opts),
+      else: one(path, opts)
   end
 
   def run(paths, opts), do: list(paths, opts)
@@ -18,12 +20,14 @@ defmodule Situ.CLI.Store.Info do
   defp folder?(path),
     do: File.dir?(path) and not Store.exists?(path)
 
-  # Recordings that cannot be read are listed as errors; the others are described.
+  # Recordings that cannot be read are listed as errors; the others are described. One that is the only one asked for is
+  # an error of the command.
   defp list(paths, opts) do
     stores =
       Enum.flat_map(paths, &if(folder?(&1), do: Store.list(&1, recursive: true), else: [&1]))
 
     opened = for path <- stores, do: {path, Store.open(path)}
+    with {[path], [{path, {:error, error}}]} <- {paths, opened}, do: raise(error)
 
     if opts[:json] do
       Output.json(Enum.map(opened, &entry/1))
@@ -54,11 +58,9 @@ defmodule Situ.CLI.Store.Info do
   defp one(path, opts) do
     store = Store.open!(path)
 
-    case {opts[:stream], opts[:json]} do
-      {nil, true} -> Output.json(json(store))
-      {nil, _} -> text(store)
-      {name, json?} -> Details.print(store, name, json? == true)
-    end
+    if name = opts[:stream],
+      do: Details.print(store, name, opts[:json] == true),
+      else: text(store)
 
     0
   end
@@ -80,10 +82,12 @@ defmodule Situ.CLI.Store.Info do
 
       {first, last} ->
         Output.puts(
-          "  #{Time.to_iso8601(first)} .. #{Time.to_iso8601(last)}, #{Time.format_duration(last - first)}"
+          "  #{Time.to_iso8601(first)} .. #{Time.to_iso8601(last)}, #{Time.format_duration(last - first)}" <>
+            if(Details.real_time?(first), do: "", else: " (not real time)")
         )
     end
 
+    for line <- pieces(store, info), do: Output.puts("  " <> line)
     table(store, streams)
     for line <- foreign(store, info), do: Output.puts("  " <> line)
 
@@ -93,6 +97,23 @@ defmodule Situ.CLI.Store.Info do
       Output.puts("  DAMAGED: #{file} is missing; `situ store verify '#{store.path}'`")
     end
   end
+
+  # A recording that is cut as it goes opens by the newest of its pieces.
+  defp pieces(store, %{piece: %{}, name: name}) do
+    root = Path.dirname(store.path)
+    others = Enum.count(Store.list(root), &of_name?(&1, name)) - 1
+
+    if others > 0,
+      do: [
+        "one piece of a recording, beside #{Output.number(others, "other")}: " <>
+          "`situ store info '#{Path.join(root, name)}.*'`"
+      ],
+      else: []
+  end
+
+  defp pieces(_store, _info), do: []
+
+  defp of_name?(path, name), do: String.replace(Path.basename(path), ~r/\.\d{4,}$/, "") == name
 
   # Facts that files of other systems hold about themselves.
   defp foreign(store, info) do
@@ -150,9 +171,9 @@ defmodule Situ.CLI.Store.Info do
       info.type_name,
       Integer.to_string(info.count),
       Details.rate(info),
-      Output.bytes(info.stored),
-      Output.bytes(round(StreamInfo.average_size(info) || 0)),
-      Details.latency(info),
+      Details.bytes(store, info, info.stored),
+      Details.bytes(store, info, StreamInfo.average_size(info)),
+      Details.latency(store, info),
       gaps(store, info)
     ]
   end
@@ -202,7 +223,7 @@ defmodule Situ.CLI.Store.Info do
       size: Recording.size(store.path),
       damage: length(info.damage),
       missing_files: Store.missing_files(store),
-      streams: Enum.map(Store.streams(store), &Details.json/1)
+      streams: Enum.map(Store.streams(store), &Details.json(store, &1))
     }
     |> Map.merge(
       if(info[:metadata] in [nil, []], do: %{}, else: %{metadata: Map.new(info.metadata)})

@@ -19,7 +19,8 @@ defmodule Situ.CLI.Store.Looking do
         summary: "list the streams of a recording: types, rates, gaps, sizes, latency",
         about: """
         Of several recordings, or of a folder of recordings, a line each. The gaps are those between chunks of the file;
-        `situ store stats` looks at every message.
+        `situ store stats` looks at every message. --json is a list of recordings in any case, of one recording, too;
+        with --stream it is that stream.
         """,
         arguments: [path: Keyword.put(@recording, :many, true)],
         options: [

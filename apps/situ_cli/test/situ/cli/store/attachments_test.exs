@@ -49,7 +49,7 @@ defmodule Situ.CLI.Store.AttachmentsTest do
 
     assert {0, json} = situ(["info", path, "--json"])
 
-    assert {:ok, %{"metadata" => %{"robot" => %{"serial" => "42"}}, "attachments" => [_, _]}} =
+    assert {:ok, [%{"metadata" => %{"robot" => %{"serial" => "42"}}, "attachments" => [_, _]}]} =
              Situ.JSON.decode(json)
   end
 
