@@ -7,7 +7,7 @@ defmodule Situ.Studio.Thumbnail do
 
   @width 160
   @height 90
-  @bins 80
+  @bins 160
 
   @doc "The bytes with their media type; `:none` where the recording has nothing to picture."
   @spec of(Source.t()) :: {:ok, String.t(), iodata()} | :none
@@ -76,23 +76,34 @@ defmodule Situ.Studio.Thumbnail do
     if lows == [] or highs == [], do: nil, else: {Enum.min(lows), Enum.max(highs)}
   end
 
-  # The envelope: up along the highest values, back along the lowest.
+  # A stroke from the least to the greatest value of each row, with the rows joined, but not across holes.
   defp svg(points, {low, high}, from, to) do
     x = fn t -> @width * (t - from) / max(to - from, 1) end
-    y = fn v -> 4 + (@height - 8) * (1 - (v - low) / max(high - low, 1.0e-12)) end
-    points = Enum.filter(points, fn {_, a, b, _, _} -> is_number(a) and is_number(b) end)
-    # a value that is alone, or does not change, holds on
+    # quarters: the difference of the greatest numbers is none
+    y = fn v -> 4 + (@height - 8) * (1 - (v / 4 - low / 4) / max(high / 4 - low / 4, 1.0e-12)) end
+    points = Enum.filter(points, fn {t, a, _, _, _} -> is_number(a) and t >= from and t <= to end)
+
+    # a value that is alone holds on
     points =
       if match?([_], points), do: [hd(points), put_elem(hd(points), 0, to + 1)], else: points
 
-    up = for {t, _, high, _, _} <- points, do: corner(x.(t), y.(high))
-    down = for {t, low, _, _, _} <- Enum.reverse(points), do: corner(x.(t), y.(low))
+    after_holes = points |> holes() |> MapSet.new(&elem(&1, 1))
+    [first | rest] = for point <- points, do: {elem(point, 0), stroke(point, x, y)}
+    lines = for {t, at} <- rest, do: [if(t in after_holes, do: "M", else: "L"), at]
 
     [
       ~s(<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 #{@width} #{@height}">),
-      ~s(<path d="M#{Enum.join(up ++ down, "L")}Z" fill="#4ea1f3" fill-opacity=".5" stroke="#4ea1f3"/></svg>)
+      ~s(<path d="M),
+      [elem(first, 1) | lines],
+      ~s(" fill="none" stroke="#4ea1f3" stroke-linecap="square" stroke-linejoin="round"/></svg>)
     ]
   end
 
-  defp corner(x, y), do: "#{Float.round(x / 1, 1)} #{Float.round(y / 1, 1)}"
+  defp holes(points), do: Draw.Rhythm.holes(for {t, _, _, _, n} <- points, do: {t, n})
+
+  defp stroke({t, low, high, _, _}, x, y), do: "#{corner(x.(t), y.(high))}V#{round1(y.(low))}"
+
+  defp corner(x, y), do: "#{round1(x)} #{round1(y)}"
+
+  defp round1(x), do: Float.round(x / 1, 1)
 end

@@ -3,13 +3,53 @@ defmodule Situ.Studio.ThumbnailTest do
 
   alias Situ.Studio.{History, Source, Thumbnail}
 
-  test "one number alone is a level line, and a stream of nothing has no picture" do
-    one = History.new(live: false)
-    message = %Situ.Message{data: 1.5, originating_time: 5, creation_time: 5, sequence_id: 0}
-    History.put(one, "Only", message, 8)
+  defp drawn(rows) do
+    history = History.new(live: false, seconds: 1_000_000)
 
-    assert {:ok, "image/svg+xml", svg} = Thumbnail.of({Source.History, one})
-    assert IO.iodata_to_binary(svg) =~ "M0.0 86.0L160.0 86.0"
+    for {{t, data}, i} <- Enum.with_index(rows) do
+      message = %Situ.Message{data: data, originating_time: t, creation_time: t, sequence_id: i}
+      History.put(history, "Only", message, 8)
+    end
+
+    {:ok, "image/svg+xml", svg} = Thumbnail.of({Source.History, history})
+    [_, path] = Regex.run(~r/ d="([^"]*)"/, IO.iodata_to_binary(svg))
+    path
+  end
+
+  # The runs of a path, each a list of strokes {x, top, bottom}.
+  defp runs(path) do
+    for run <- String.split(path, "M", trim: true) do
+      for stroke <- String.split(run, "L") do
+        [x, top, bottom] = stroke |> String.split([" ", "V"]) |> Enum.map(&String.to_float/1)
+        {x, top, bottom}
+      end
+    end
+  end
+
+  test "one number alone is a level line, and a stream of nothing has no picture" do
+    assert [[{0.0, 86.0, 86.0}, {160.0, 86.0, 86.0}]] = runs(drawn([{5, 1.5}]))
     assert Thumbnail.of({Source.History, History.new(live: false)}) == :none
+  end
+
+  test "nothing is drawn across a hole of hours" do
+    hour = 3_600_000_000_000
+    rows = for i <- Enum.concat(0..4_000, 12_000..16_000), do: {i * 2_000_000_000, :math.sin(i)}
+    assert List.last(rows) |> elem(0) < 9 * hour
+
+    assert [before, later] = runs(drawn(rows))
+    assert before |> List.last() |> elem(0) < 41.0
+    assert later |> hd() |> elem(0) > 119.0
+  end
+
+  test "one message that stands out is as high in the picture as it is, among 100,000 others" do
+    rows = for i <- 0..99_999, do: {i * 1_000_000, if(i == 61_803, do: 50.0, else: 0.0)}
+    assert [run] = runs(drawn(rows))
+    assert [{x, 4.0, 86.0}] = Enum.filter(run, fn {_, top, _} -> top < 80 end)
+    assert_in_delta x, 160 * 0.618, 1.1
+  end
+
+  test "the greatest numbers there are have their picture" do
+    assert [run] = runs(drawn(for i <- 0..9, do: {i * 1_000, 1.7e308 * (rem(i, 2) * 2 - 1)}))
+    assert Enum.map(run, &elem(&1, 1)) |> Enum.uniq() |> Enum.sort() == [4.0, 86.0]
   end
 end

@@ -7,6 +7,9 @@ defmodule Situ.Studio.Draw.Bins do
       {[{0, 0.0, 1.0, 1.0, 2}, {2, 2.0, 3.0, 3.0, 2}], false}
   """
 
+  # The greatest float is an integer.
+  @greatest trunc(1.797_693_134_862_315_7e308)
+
   @type point :: Situ.Codec.point()
   @type gap :: {Situ.Time.t(), nil, nil, nil, pos_integer()}
 
@@ -34,9 +37,16 @@ defmodule Situ.Studio.Draw.Bins do
     end
   end
 
-  @doc "A value as a number to draw: booleans are 0 and 1; what is no number, or too large for one, is left out."
+  @doc """
+  A value as a number to draw: booleans are 0 and 1. Other terms, and integers that no float can hold, are left out.
+
+      iex> Enum.map([1.7e308, true, :nan], &Situ.Studio.Draw.Bins.number/1)
+      [{:ok, 1.7e308}, {:ok, 1}, :error]
+  """
   @spec number(term()) :: {:ok, number()} | :error
-  def number(value) when is_number(value) and value < 1.0e308 and value > -1.0e308,
+  def number(value) when is_float(value), do: {:ok, value}
+
+  def number(value) when is_integer(value) and value <= @greatest and value >= -@greatest,
     do: {:ok, value}
 
   def number(true), do: {:ok, 1}
