@@ -1,7 +1,7 @@
 // The lanes of one stream: marks of messages, and segments of states, texts and intervals. Pure.
 
 import { byName, lowerBound } from "./series.js";
-import { duration, relative } from "../time/text.js";
+import { duration, latency, relative } from "../time/text.js";
 
 const MOST_MARKS = 20000,
   MOST_SEGMENTS = 5000;
@@ -77,10 +77,10 @@ export function segmentText([a, b, label, cls], show = relative) {
 }
 
 // The message nearest to a time, not farther than `slack`, in words; nothing where there is none.
-export function markText({ t: times, latency }, t, slack, show = relative) {
+export function markText({ t: times, latency: late }, t, slack, show = relative) {
   const i = lowerBound(times, t);
   const near = [i - 1, i].filter((k) => k >= 0 && k < times.length && Math.abs(times[k] - t) <= slack);
   if (!near.length) return [];
   const k = near.reduce((p, q) => (Math.abs(times[q] - t) < Math.abs(times[p] - t) ? q : p));
-  return [`message at ${show(times[k])}`, `latency ${duration(latency[k])}`];
+  return [`message at ${show(times[k])}`, `latency ${latency(late[k])}`];
 }

@@ -42,7 +42,7 @@ export class Header {
     // where there is no selection to measure, the end of the data stands there
     const length = s.sel[0] != null && s.sel[1] != null;
     this.set("t-length-of", length ? "length" : "data ends");
-    this.set("t-length", length ? duration(s.sel[1] - s.sel[0]) : show(s.data[1]));
+    this.set("t-length", length ? duration(s.sel[1] - s.sel[0]) : lastMessage(s, origin, show));
     this.set("speed", `${s.speed >= 1 ? Number(s.speed.toFixed(2)) : `1/${Number((1 / s.speed).toFixed(2))}`}×`);
     this.pressed("togglePlay", s.mode === "play");
     this.pressed("repeat", s.repeat);
@@ -63,4 +63,9 @@ export class Header {
   disabled(acts, on) {
     for (const a of acts) for (const b of this.root.querySelectorAll(`[data-act="${a}"]`)) b.disabled = on;
   }
+}
+
+// Without a message there is no last one: times are counted from 0 then.
+function lastMessage({ messages: [from, to] }, origin, show) {
+  return from === to && origin === 0n ? "–" : show(to);
 }

@@ -1,11 +1,13 @@
 // Times in lists and among properties, which the server writes as UTC: local where the settings say so.
 
 import { onSetting, setting } from "./settings.js";
+import { dated, relative } from "../time/text.js";
 
 const pad = (n, w = 2) => String(n).padStart(w, "0");
 
 // `part`: "date", "time" (of day), "both", or "all", which has milliseconds.
 export function clockText(ns, part, local) {
+  if (!dated(BigInt(ns))) return part === "date" ? "no date" : `${relative(Number(ns))} from 0`;
   const d = new Date(Number(BigInt(ns) / 1000000n));
   if (Number.isNaN(d.getTime())) return ns;
   const get = (name) => d[`get${local ? "" : "UTC"}${name}`]();

@@ -1,7 +1,7 @@
 // One language for times everywhere on the page: UTC, this browser's local time, since the start of the data, or since
 // the start of the selection.
 
-import { absolute, parseTime, relative, ticks } from "./text.js";
+import { absolute, dated, parseTime, relative, ticks } from "./text.js";
 import { choose, onSetting, setting } from "../page/settings.js";
 
 export const MODES = [
@@ -15,21 +15,24 @@ export const MODES = [
 const LETTER = 6.6,
   BETWEEN = 16;
 
-let mode = setting("clock");
+let chosen = setting("clock");
 // Where the selection starts, or the data where there is none.
 let since = 0;
 const listeners = new Set();
 
 onSetting((id, value) => {
   if (id !== "clock") return;
-  mode = value;
-  for (const l of listeners) l(mode);
+  chosen = value;
+  for (const l of listeners) l(chosen);
 });
 
-export const clockMode = () => mode;
+export const clockMode = () => chosen;
+
+// Times that are not of a calendar are shown since the start, whatever clock is chosen.
+const modeOf = (origin) => (chosen !== "selection" && (origin === null || !dated(origin)) ? "start" : chosen);
 
 export function nextClock() {
-  const i = MODES.findIndex(([m]) => m === mode);
+  const i = MODES.findIndex(([m]) => m === chosen);
   choose("clock", MODES[(i + 1) % MODES.length][0]);
 }
 
@@ -43,7 +46,7 @@ export function setSelected(t) {
   const next = t ?? 0;
   if (next === since) return false;
   since = next;
-  return mode === "selection";
+  return chosen === "selection";
 }
 
 // Nanoseconds that local time is ahead of UTC then.
@@ -54,8 +57,9 @@ function ahead(t, origin) {
 
 // A time of the page for people; `unit` is how fine it has to be, as of the ruler's ticks.
 export function shown(t, origin, unit = 1e6) {
+  const mode = modeOf(origin);
   if (mode === "selection") return relative(t - since, unit);
-  if (mode === "start" || origin === null) return relative(t, unit);
+  if (mode === "start") return relative(t, unit);
   const decimals = unit >= 1e9 ? 0 : unit >= 1e6 ? 3 : unit >= 1e3 ? 6 : 9;
   const text = absolute(t + (mode === "local" ? ahead(t, origin) : 0), origin, decimals);
   return unit >= 86400e9 ? text.slice(0, 10) : text.slice(11);
@@ -63,8 +67,9 @@ export function shown(t, origin, unit = 1e6) {
 
 // The time from which the ruler counts its units: round times have round names.
 function zero(origin) {
+  const mode = modeOf(origin);
   if (mode === "selection") return () => since;
-  if (mode === "start" || origin === null) return () => 0;
+  if (mode === "start") return () => 0;
   return (unit) => {
     const clock = origin + (mode === "local" ? BigInt(ahead(0, origin)) : 0n);
     return -Number(clock % BigInt(unit));
@@ -81,8 +86,9 @@ export function rulerTicks(view, px, origin, minPx = 90) {
 
 // The day and the zone, for a caption.
 export function day(t, origin) {
+  const mode = modeOf(origin);
   if (mode === "selection") return "since selection";
-  if (mode === "start" || origin === null) return "since start";
+  if (mode === "start") return "since start";
   const local = mode === "local";
   const date = absolute(t + (local ? ahead(t, origin) : 0), origin, 0).slice(0, 10);
   return `${date} ${local ? Intl.DateTimeFormat().resolvedOptions().timeZone : "UTC"}`;
@@ -90,6 +96,7 @@ export function day(t, origin) {
 
 // A clock time as the page shows it ("13:45:02.5") on the day of the data, or null.
 export function parseClock(text, origin) {
+  const mode = modeOf(origin);
   if (mode === "start") return null;
   if (mode === "selection") {
     const t = /^-?[\d:. d]+$/.test(text.trim()) ? parseTime(text, origin) : null;

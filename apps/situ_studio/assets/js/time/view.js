@@ -4,7 +4,7 @@
 export const LIVE_WINDOW = 30e9;
 export const LIVE_CURSOR_AT = 0.8;
 const MIN_VIEW = 1e3;
-// The window on a recording that is one moment long.
+// The window on a recording that is one moment long: the moment is in its middle.
 const POINT = 1e9;
 const SEL_PADDING = 0.1;
 
@@ -12,9 +12,11 @@ export function initial(from = 0, to = 60e9) {
   const data = extent(from, to);
   return {
     data,
+    // the first and the last message, which of a single one are the same
+    messages: [from, to],
     view: data,
     sel: [null, null],
-    cursor: data[0],
+    cursor: from,
     mode: "manual",
     speed: 1,
     repeat: false,
@@ -23,7 +25,7 @@ export function initial(from = 0, to = 60e9) {
   };
 }
 
-const extent = (from, to) => (to > from ? [from, to] : [from, from + POINT]);
+const extent = (from, to) => (to > from ? [from, to] : [from - POINT / 2, from + POINT / 2]);
 
 export function range(from, to) {
   return to > from ? [from, to] : [from, from + 1];
@@ -41,7 +43,7 @@ const handlers = {
   data(s, { from, to }) {
     const data = extent(from, to);
     if (data[0] === s.data[0] && data[1] === s.data[1]) return s;
-    const next = { ...s, data };
+    const next = { ...s, data, messages: [from, to] };
     return s.mode === "live" ? follow(next, data[1]) : next;
   },
   reset(s, { from, to }) {

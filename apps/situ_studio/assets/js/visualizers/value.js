@@ -3,7 +3,7 @@
 
 import { KIND } from "../data/wire.js";
 import { shown } from "../time/clock.js";
-import { duration } from "../time/text.js";
+import { latency } from "../time/text.js";
 import { copy } from "../page/toast.js";
 
 export class ValuePanel {
@@ -55,7 +55,7 @@ export class ValuePanel {
     const origin = this.app.client.origin ?? 0n;
     const rel = Number(BigInt(v.time) - origin);
     const at = shown(rel, this.app.client.origin);
-    this.head.textContent = `#${v.sequence}   ${at}   latency ${duration(v.latency)}   ${v.type}`;
+    this.head.textContent = `#${v.sequence}   ${at}   latency ${latency(v.latency)}   ${v.type}`;
     const lines = [];
     this.collect(v.tree, "value", "", 0, lines);
     this.lines(lines);

@@ -15,5 +15,12 @@ test("a time of a list, in UTC and in local time", () => {
   else process.env.TZ = zone;
 });
 
+test("a time before 1971 is no date, but counted from 0", () => {
+  assert.equal(clockText("1470000000", "all", false), "0:01.470 from 0");
+  assert.equal(clockText("0", "both", true), "0:00.000 from 0");
+  assert.equal(clockText("-1000000000", "time", false), "-0:01.000 from 0");
+  assert.equal(clockText("5", "date", false), "no date");
+});
+
 test("a time beyond all calendars stays a number", () =>
   assert.equal(clockText("9".repeat(30), "all", false), "9".repeat(30)));

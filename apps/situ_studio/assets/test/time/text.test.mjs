@@ -1,6 +1,6 @@
 import test from "node:test";
 import assert from "node:assert/strict";
-import { relative, duration, absolute, parseTime, ticks, iso } from "../../js/time/text.js";
+import { relative, duration, latency, absolute, parseTime, ticks, iso } from "../../js/time/text.js";
 
 test("relative times", () => {
   assert.equal(relative(83.25e9), "1:23.250");
@@ -57,4 +57,13 @@ test("a copied time goes back to the very nanosecond", () => {
     assert.equal(parseTime(iso(t, origin), origin), t);
   }
   assert.equal(iso(1, 0n), "1970-01-01T00:00:00.000000001Z");
+});
+
+test("a latency that no real time has is said in words", () => {
+  assert.deepEqual([2e6, -5e6, -1.47e9, 1.7e18].map(latency), [
+    "2.00 ms",
+    "-5.00 ms",
+    "not real time",
+    "not real time",
+  ]);
 });

@@ -94,3 +94,12 @@ test("random actions keep the invariants", () => {
     if (s.sel[0] != null && s.sel[1] != null) assert.ok(s.sel[0] <= s.sel[1]);
   }
 });
+
+test("a single message is in the middle of the view, under the cursor, and is the end of the data", () => {
+  const s = initial(0, 0);
+  assert.deepEqual(s.view, [-0.5e9, 0.5e9]);
+  assert.deepEqual([s.cursor, s.messages], [0, [0, 0]]);
+  const grown = run(s, { type: "data", from: 0, to: 3e9 });
+  assert.deepEqual(grown.data, [0, 3e9]);
+  assert.deepEqual(grown.messages, [0, 3e9]);
+});

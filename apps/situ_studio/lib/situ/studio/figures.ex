@@ -133,13 +133,28 @@ defmodule Situ.Studio.Figures do
   def text(:per_minute, f), do: often(f, 60, "min")
   def text(:per_hour, f), do: often(f, 3_600, "h")
   def text(:latency, %{latency: nil}), do: ""
-  def text(:latency, f), do: Situ.Time.format_duration(round(f.latency))
+  def text(:latency, f), do: latency_text(f.latency)
   def text(_, %{from: nil}), do: ""
   def text(:duration, f), do: Situ.Time.format_duration(f.length)
   def text(:span, f), do: Situ.Time.format_duration(f.to - f.from)
   def text(:began, f), do: f.from |> clock() |> String.slice(0, 19)
   def text(:date, f), do: f.from |> clock() |> String.slice(0, 10)
   def text(:time, f), do: f.from |> clock() |> String.slice(11, 8)
+
+  # Clocks of machines differ by less than this.
+  @skew 100_000_000
+  @day 86_400 * @second
+
+  @doc """
+  A mean latency as text; in words where the messages were not made as they happened, but of a replayed recording or a
+  simulation.
+
+      iex> Enum.map([2_020_000, -5_000_000, -1_470_000_000], &Situ.Studio.Figures.latency_text/1)
+      ["2.02 ms", "-5.00 ms", "not real time"]
+  """
+  @spec latency_text(number()) :: String.t()
+  def latency_text(ns) when ns < -@skew or ns > @day, do: "not real time"
+  def latency_text(ns), do: Situ.Time.format_duration(round(ns))
 
   defp clock(time), do: time |> Situ.Time.to_iso8601() |> String.replace("T", " ")
 

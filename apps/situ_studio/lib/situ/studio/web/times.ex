@@ -32,6 +32,12 @@ defmodule Situ.Studio.Web.Times do
     """
   end
 
+  # Times before 1971 are not of a calendar (`assets/js/page/times.js` says the same).
+  @dated 31_622_400_000_000_000
+
+  defp text(ns, "date") when abs(ns) <= @dated, do: "no date"
+  defp text(ns, _part) when abs(ns) <= @dated, do: "#{Situ.Time.format_duration(ns)} from 0"
+
   defp text(ns, part) do
     [date, clock] = ns |> Situ.Time.to_iso8601() |> String.split("T")
 

@@ -196,7 +196,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
       {"Rate", Figures.text(:rate, Figures.sum([stream]))},
       {"First", at(stream.first)},
       {"Last", at(stream.last)},
-      {"Latency, mean", stream.latency && Situ.Time.format_duration(round(stream.latency))}
+      {"Latency, mean", stream.latency && Figures.latency_text(stream.latency)}
       | stream.details
     ]
   end
