@@ -128,6 +128,28 @@ defmodule Fixture do
     :ok = Writer.close(writer)
   end
 
+  # A signal at 1 kHz with single messages that stand out. A file beside the recording holds its values.
+  def record_dense(name, folder, told) do
+    :rand.seed(:exsss, {4, 2, 29})
+
+    values =
+      for i <- 0..39_999 do
+        spike = if :rand.uniform(2_000) == 1, do: 40 * (:rand.uniform() - 0.5), else: 0
+        Float.round(:math.sin(i / 2_000) * 5 + :rand.uniform() / 2 + spike, 6)
+      end
+
+    {:ok, writer} = Writer.create(name, folder)
+    {:ok, out} = Writer.stream(writer, "Signal", type: :float)
+
+    messages =
+      for {v, i} <- Enum.with_index(values), do: message({"", @t0 + i * 1_000_000, 0, v, i})
+
+    {:ok, out} = Writer.append(out, messages)
+    {:ok, _} = Writer.close_stream(out, @t0 + 39_999 * 1_000_000)
+    :ok = Writer.close(writer)
+    File.write!(told, Situ.JSON.encode(values))
+  end
+
   # Random streams: regular ones with holes, irregular ones, states that flicker and states that stay, maps of them. A
   # file beside the recording holds the data, for comparison.
   def record_zoo(name, folder, told) do

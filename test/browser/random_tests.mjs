@@ -2,7 +2,7 @@
 // streams; SEED=N makes those of a run that failed again.
 import { readFileSync } from "node:fs";
 import { test, equal, ok } from "./harness.mjs";
-import { open, settled, state, dispatch, panelOf, pointAt } from "./studio_page.mjs";
+import { open, settled, state, dispatch, legendOf, panelOf, pointAt } from "./studio_page.mjs";
 
 const site = JSON.parse(process.argv[2]);
 // The tools of a panel lie over the right of its first lane while the mouse is there: places are left of them.
@@ -45,23 +45,16 @@ function time(text) {
   return (text.startsWith("-") ? -1 : 1) * parts.reduce((a, p) => a * 60 + p, 0) * S;
 }
 
-// The value beside the stream's name, where the mouse has put the cursor.
-function legend(page, stream) {
-  return page.evaluate(
-    (s) => document.querySelector(`.legend-item[data-stream="${s}"] b`)?.textContent ?? "",
-    stream,
-  );
-}
-
-function checkLine({ name, rows, period }, text, t, slack) {
+function checkLine({ name, rows, period }, { text, exact }, cursor, slack) {
+  const t = Math.round(cursor);
   const n = upTo(rows, t);
-  const said = `${name} at ${t} says ${JSON.stringify(text)}`;
-  if (!n) return ok(text === "" || upTo(rows, t + slack) > 0, `${said} before its first message`);
+  const said = `${name} at ${t} says ${JSON.stringify(text)} (${exact})`;
+  if (!n) return equal(text, "", `${said} before its first message`);
+  equal(Number(exact), rows[n - 1][1], said);
   const value = Number(text.split(",")[0]);
-  const could = holding(rows, t - slack, t + slack);
   ok(
-    could.some(([, v]) => Math.abs(v - value) <= 1e-4 * Math.max(Math.abs(v), 1) + 1e-3),
-    `${said}, the messages say ${could.slice(0, 6).map(([, v]) => v)}`,
+    Math.abs(value - rows[n - 1][1]) <= 1e-5 * Math.max(Math.abs(value), 1),
+    `${said}, the message ${rows[n - 1][1]}`,
   );
   const age = t - rows[n - 1][0];
   if (age > S + slack) ok(text.includes(" ago"), `${said}, which is ${age / MS} ms old`);
@@ -159,7 +152,7 @@ async function look(page, streams, part) {
       await pointAt(page, id, wanted);
       const t = (await state(page)).cursor;
       ok(Math.abs(t - wanted) < slack, `the cursor is at the mouse: ${t}, ${wanted}`);
-      checkLine(stream, await legend(page, stream.name), t, slack);
+      checkLine(stream, await legendOf(page, stream.name), t, slack);
       n++;
       continue;
     }

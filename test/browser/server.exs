@@ -22,6 +22,7 @@ Fixture.record_many("many", folder)
 SpaceFixture.record("space", folder)
 Fixture.film(folder)
 Fixture.record_zoo("zoo", folder, Path.join(work, "zoo.json"))
+Fixture.record_dense("dense", folder, Path.join(work, "dense.json"))
 random = Path.join(work, "random.json")
 RandomFixture.record(folder, random, 4)
 # to be replaced, and to be damaged, while they are looked at
@@ -306,6 +307,7 @@ IO.puts(
       "folder" => folder,
       "random" => random,
       "zoo" => Path.join(work, "zoo.json"),
+      "dense" => Path.join(work, "dense.json"),
       "stop" => Path.join(work, "stop"),
       "points" => points,
       "t0" => Integer.to_string(Fixture.t0())

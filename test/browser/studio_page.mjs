@@ -101,6 +101,20 @@ export async function panelOf(page, stream) {
   return page.evaluate(find, stream);
 }
 
+// What the legend says of a stream at the cursor, as soon as the server has told it: {text, exact}, where `exact` is
+// the whole value.
+export async function legendOf(page, stream) {
+  const find = (s) => {
+    const at = document.querySelector(`.legend-item[data-stream="${CSS.escape(s)}"] b`);
+    const { client, time } = window.situStudio;
+    if (!at || at.matches(".waiting") || !client.origin || time.get().mode === "play") return null;
+    const exact = /^at the cursor: (.*)$/m.exec(at.title)?.[1] ?? "";
+    return { text: at.textContent, exact };
+  };
+  await until(page, find, `the value of ${stream} is told`, stream);
+  return page.evaluate(find, stream);
+}
+
 // Puts the mouse where `t` (ns after the start) is on a timeline.
 export async function pointAt(page, id, t) {
   const { x, y } = await page.evaluate(

@@ -79,10 +79,10 @@ export class IntervalChannel extends Channel {
     const from = w.append ? w.from : -Infinity;
     const forget = w.from - 4 * (w.to - w.from);
     if (f.kind === KIND.series) {
-      this.series.put(f, base, from);
+      this.series.put(f, base, from, w.bin);
       if (w.append) this.series.trim(forget);
     } else if (f.kind === KIND.lines) {
-      this.lines = keepLines(w.append ? this.lines : new Map(), f.lines, base, from, forget);
+      this.lines = keepLines(w.append ? this.lines : new Map(), f.lines, base, from, forget, w.bin);
       // lines that the server leaves out
       this.more = f.step;
     }
@@ -97,6 +97,7 @@ export class InstantChannel extends Channel {
   constructor(id, spec, accept) {
     super(id, spec, accept);
     this.at = null;
+    this.head = null;
     this.kept = new Map();
   }
 
@@ -107,9 +108,12 @@ export class InstantChannel extends Channel {
     this.kept = new Map();
   }
 
-  gather(message, s, _origin, live) {
-    if (!live && this.at === s.cursor) return;
+  // While the source grows, a message may come that is before the cursor: it is asked for again.
+  gather(message, s, _origin, live, growing = false) {
+    const head = growing ? s.data[1] : null;
+    if (!live && this.at === s.cursor && (!growing || this.head === head)) return;
     this.at = s.cursor;
+    this.head = head;
     message.instant.push(this.id);
   }
 
@@ -134,4 +138,38 @@ export class InstantChannel extends Channel {
     f.items = f.items.filter((item) => !item.lost);
     this.reopen();
   }
+}
+
+// What a stream of a plot says at the cursor, exactly: never made up from the rows that are drawn.
+export class ValueChannel extends InstantChannel {
+  constructor(id, spec, accept) {
+    super(id, spec, accept);
+    this.told = null;
+    this.answered = null;
+  }
+
+  reopen() {
+    super.reopen();
+    this.answered = null;
+  }
+
+  receive(f, client) {
+    this.answered = client.answered;
+    this.error = f.kind === KIND.error ? f.message : null;
+    if (f.kind !== KIND.same) this.told = this.error || f.kind === KIND.none ? null : toldValue(f, client);
+    this.accept(this);
+  }
+
+  // Whether what is told holds at the cursor; else it is that of an earlier one, or of none.
+  knows(cursor) {
+    return this.answered === Math.round(cursor);
+  }
+}
+
+// {at: its message's time, values: Map from name to exact text} or, of a sound's spectrum, the samples {at, frame}.
+function toldValue(f, client) {
+  const at = client.rel(f.time);
+  // the answer's buffer is not kept
+  if (f.kind === KIND.sounds) return { at, values: new Map(), rate: f.rate, samples: f.samples.slice() };
+  return { at, values: new Map(f.value.values) };
 }

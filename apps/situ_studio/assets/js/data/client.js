@@ -2,7 +2,7 @@
 // sends what was not asked for. A request gathers what every open channel wants now; cursor moves in between coalesce.
 
 import { decode } from "./wire.js";
-import { InstantChannel, IntervalChannel } from "./channels.js";
+import { InstantChannel, IntervalChannel, ValueChannel } from "./channels.js";
 
 const RETRY = [100, 250, 500, 1000, 2000, 5000];
 // A file deleted, replaced or growing is noticed after so long, in ms.
@@ -22,7 +22,7 @@ export class DataClient {
     this.snap = null;
     this.closed = false;
     this.stats = { requests: 0, bytes: 0, roundTrip: 0 };
-    this.sentCursor = null;
+    this.growing = false;
   }
 
   start() {
@@ -57,9 +57,8 @@ export class DataClient {
   // spec: {stream, viz, path?} as the server's table of visualizers names it
   open(spec, accept, options = {}) {
     const id = this.nextChannel++;
-    const channel = options.instant
-      ? new InstantChannel(id, spec, accept)
-      : new IntervalChannel(id, spec, accept, options);
+    const Kind = options.value ? ValueChannel : options.instant ? InstantChannel : IntervalChannel;
+    const channel = new Kind(id, spec, accept, options);
     this.channels.set(id, channel);
     this.pump();
     return channel;
@@ -115,7 +114,7 @@ export class DataClient {
         message.open.push([c.id, c.spec]);
         c.opened = true;
       }
-      if (!first) c.gather(message, s, this.origin, live);
+      if (!first) c.gather(message, s, this.origin, live, this.growing);
     }
     const wanted = message.open.length || message.close.length || message.series.length || message.instant.length;
     if (!wanted && !force && !this.again && !first) return;
@@ -163,8 +162,9 @@ export class DataClient {
     const first = this.origin === null;
     if (first) this.origin = reply.from;
     reply.first = first;
+    this.growing = reply.live;
     reply.asked = asked;
-    reply.cursor = this.rel(reply.time);
+    reply.cursor = this.answered = this.rel(reply.time);
     this.onReply(reply);
     this.time.dispatch({ type: "data", from: this.rel(reply.from), to: this.rel(reply.to) });
     for (const f of reply.frames) this.deliver(f);

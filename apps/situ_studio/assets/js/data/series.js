@@ -12,13 +12,15 @@ export class Series {
     this.length = 0;
     this.raw = true;
     this.sampled = false;
+    // how many ns a row that is not a single message spans at most
+    this.bin = 0;
     this.beat = { period: Infinity, row: 0 };
     this.capacity = 0;
     for (const c of COLUMNS) this[c] = new Float64Array(0);
   }
 
   // Takes over a decoded frame: rows at or after `from` are replaced by the frame's rows from there on.
-  put(frame, base, from = -Infinity) {
+  put(frame, base, from = -Infinity, bin = 0) {
     const append = from !== -Infinity;
     const keep = append ? lowerBound(this.t, from, this.length) : 0;
     const skip = append ? lowerBound(frame.t, from - base, frame.count) : 0;
@@ -28,6 +30,7 @@ export class Series {
     for (const c of ["min", "max", "last", "n"]) this[c].set(frame[c].subarray(skip), keep);
     this.length = keep + n;
     this.raw = frame.raw && (keep === 0 || this.raw);
+    this.bin = bin;
     this.sampled = frame.sampled === true;
     this.together = frame.together === true;
     this.beat = rhythm(this);
@@ -43,9 +46,9 @@ export class Series {
     return this.t[i] - this.t[i - 1] > this.patience(i - 1);
   }
 
-  // How old the row in force at `t` is there, in ns; 0 while its successor is not due yet.
-  age(i, t) {
-    const age = t - this.t[i];
+  // How old a message is at `t`, in ns; 0 while its successor is not due yet. The message is in row `i`.
+  age(i, t, at = this.t[i]) {
+    const age = t - at;
     return age > Math.min(this.patience(i), Math.max(OLD, this.raw ? 0 : this.beat.row)) ? age : 0;
   }
 
@@ -73,6 +76,20 @@ export class Series {
     return upperBound(this.t, t, this.length) - 1;
   }
 
+  // The end of what a row holds: its last message is not after it.
+  end(i) {
+    const end = this.raw ? this.t[i] : this.t[i] + this.bin;
+    return i + 1 < this.length ? Math.min(end, this.t[i + 1]) : end;
+  }
+
+  // By how much the values around a row differ from one another at least; 0 where they do not.
+  spread(i) {
+    if (i < 0) return 0;
+    if (!this.raw && this.max[i] > this.min[i]) return (this.max[i] - this.min[i]) / Math.max(this.n[i], 1);
+    const away = [i - 1, i + 1].map((k) => Math.abs(this.last[k] - this.last[i])).filter((d) => d > 0);
+    return away.length ? Math.min(...away) : 0;
+  }
+
   // Smallest and largest value among rows in [from, to] and the rows just outside.
   extent(from, to) {
     let a = Math.max(this.at(from), 0);
@@ -88,11 +105,11 @@ export class Series {
 }
 
 // The lines of one stream of maps, by name; one that ends is kept while some of it can be seen.
-export function keepLines(old, lines, base, from, forget) {
+export function keepLines(old, lines, base, from, forget, bin) {
   const next = new Map(old);
   for (const line of lines) {
     const series = next.get(line.name) ?? new Series();
-    series.put(line, base, from);
+    series.put(line, base, from, bin);
     next.set(line.name, series);
   }
   for (const [name, s] of next) {

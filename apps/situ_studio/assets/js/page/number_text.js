@@ -1,4 +1,6 @@
-// Numbers for people: six significant digits, no noise.
+// Numbers for people.
+
+// Six significant digits, no noise.
 export function number(x, digits = 6) {
   if (x == null) return "";
   if (!Number.isFinite(x)) return Number.isNaN(x) ? "NaN" : x > 0 ? "inf" : "-inf";
@@ -8,6 +10,31 @@ export function number(x, digits = 6) {
   return String(Number(x.toPrecision(digits)));
 }
 
+// Numbers of so many digits are shown whole: people wrote them. Longer ones were computed.
+const WHOLE = 12;
+const LEAST = 6,
+  MOST = 17;
+
+// A value that is given exactly, as text: whole, or with as many digits as tell it apart from one that is `apart` away.
+// What is not a number stays as it is.
+export function valueText(exact, apart = 0) {
+  const x = Number(exact);
+  if (!Number.isFinite(x) || exact.trim() === "") return exact;
+  // an integer may be larger than a number can be exactly
+  if (/^-?\d+$/.test(exact)) return exact;
+  const whole = String(x);
+  const written = whole.replace(/e.*/, "").replace(/^-?0*\.?0*|\./g, "").length;
+  if (written <= WHOLE) return whole;
+  return String(Number(x.toPrecision(digitsFor(x, apart, LEAST))));
+}
+
+// How many significant digits tell x apart from a number that is `apart` away, `least` at least.
+function digitsFor(x, apart, least) {
+  if (!(apart > 0) || x === 0) return least;
+  const digits = Math.floor(Math.log10(Math.abs(x))) - Math.floor(Math.log10(apart)) + 2;
+  return Math.min(Math.max(digits, least), MOST);
+}
+
 const SI = [
   [1e12, "T"],
   [1e9, "G"],
@@ -15,13 +42,21 @@ const SI = [
   [1e3, "k"],
 ];
 
-// A number beside an axis: short, large ones with the prefixes of SI.
-export function axisNumber(x) {
+// A number beside an axis whose ticks are `step` apart: short, large ones with the prefixes of SI, but never as short
+// as its neighbours.
+export function axisNumber(x, step = 0) {
   const a = Math.abs(x);
-  if (a >= 1e15 || (a < 1e-4 && a > 0)) return x.toExponential(2).replace(/\.?0*e\+?/, "e");
-  if (a < 10000) return number(x, 4);
+  const digits = digitsFor(x, step, 4);
+  if (a >= 1e15 || (a < 1e-4 && a > 0)) {
+    return x
+      .toExponential(Math.max(digits - 2, 2))
+      .replace(/(\.\d*?)0*e\+?/, "$1e")
+      .replace(".e", "e");
+  }
+  // the ticks are round: what is beyond their step is noise
+  if (a < 10000 || digits > LEAST) return String(Number(x.toPrecision(Math.max(digits, 4))));
   const [factor, letter] = SI.find(([f]) => a >= f);
-  return `${number(x / factor, 4)} ${letter}`;
+  return `${Number((x / factor).toPrecision(digits))} ${letter}`;
 }
 
 // How many ticks a value axis of so many pixels has: close ones where it is low, few where it is high.
@@ -29,6 +64,8 @@ export const tickCount = (px) => Math.max(2, Math.min(Math.floor(px / 24), 4 + M
 
 // Ticks of a value axis between lo and hi, about n of them and never one alone, at 1, 2 or 5 times a power of ten.
 export function valueTicks(lo, hi, n) {
+  // a span that no number can hold is that of smaller ones
+  if (hi - lo === Infinity) return valueTicks(lo / 4, hi / 4, n).map((v) => v * 4);
   for (let k = n; k <= 4 * n + 8; k++) {
     const found = ticksOf(lo, hi, k);
     if (found.length >= 2 || !found.length) return found;
@@ -43,7 +80,10 @@ function ticksOf(lo, hi, n) {
   const mag = 10 ** Math.floor(Math.log10(raw));
   const unit = [1, 2, 5, 10].map((k) => k * mag).find((u) => u >= raw) ?? raw;
   const out = [];
-  for (let i = Math.ceil(lo / unit); i * unit <= hi + unit * 1e-9; i++) out.push(Number((i * unit).toPrecision(12)));
+  // the digits of a tick end where those of its unit do
+  const digits = Math.ceil(Math.log10(Math.max(Math.abs(lo), Math.abs(hi)) / unit)) + 2;
+  for (let i = Math.ceil(lo / unit); i * unit <= hi + unit * 1e-9; i++)
+    out.push(Number((i * unit).toPrecision(Math.min(Math.max(digits, 12), 17))));
   return out;
 }
 
@@ -57,7 +97,10 @@ export function paddedRange(extents) {
     if (Number.isFinite(e[1]) && e[1] > hi) hi = e[1];
   }
   if (lo > hi) return [0, 1];
-  if (lo === hi) return [lo - Math.max(Math.abs(lo) * 0.1, 0.5), hi + Math.max(Math.abs(hi) * 0.1, 0.5)];
-  const pad = (hi - lo) * 0.1;
-  return [lo - pad, hi + pad];
+  const pad = lo === hi ? Math.max(Math.abs(lo) * 0.1, 0.5) : hi / 10 - lo / 10;
+  return [Math.max(lo - pad, -Number.MAX_VALUE), Math.min(hi + pad, Number.MAX_VALUE)];
 }
+
+// Where a value is between lo (0) and hi (1), also where their difference is more than a number can hold.
+export const fraction = (v, lo, hi) =>
+  hi - lo === Infinity ? (v / 4 - lo / 4) / (hi / 4 - lo / 4) : (v - lo) / (hi - lo);

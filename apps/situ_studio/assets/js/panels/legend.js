@@ -43,6 +43,7 @@ export class Legend {
       ...e,
       value: same ? rows[i].value : null,
       text: same ? rows[i].text : null,
+      title: same ? rows[i].title : null,
     }));
     if (same) return;
     this.el.textContent = "";
@@ -60,6 +61,7 @@ export class Legend {
       const stream = before && group(before.vis.name) === group(name) ? (short ?? name) : name;
       const full = e.name === "" ? e.layer.vis.name : `${e.layer.vis.name}  ${e.name}`;
       row.title = `${full}\nClick: hide or show. Double click: only this one.`;
+      e.title = full;
       row.type = "button";
       row.classList.toggle("hidden", e.layer.vis.props?.visible === false);
       row.setAttribute("aria-pressed", String(e.layer.vis.props?.visible !== false));
@@ -106,25 +108,39 @@ export class Legend {
       .join("\n");
   }
 
-  // Values at the cursor, in the legend; one that is older than the stream's pace explains says how old it is.
+  // Values at the cursor, in the legend: those of the messages, as the server tells them. Until it has, the ones before
+  // are dimmed. One that is older than the stream's pace explains says how old it is.
   values() {
     const { panel } = this;
     const cursor = panel.app.time.get().cursor;
     for (const e of this.entries) {
-      const { channel, drawer } = e.layer;
+      const { channel, value } = e.layer;
+      const error = channel.error ?? value.error;
+      const told = error ? null : value.told;
       const i = e.series ? e.series.at(cursor) : -1;
-      let text = channel.error ?? "",
-        old = false;
-      if (!channel.error && i >= 0) {
-        text = drawer.text(e, i);
-        const age = e.series.age(i, cursor);
-        old = age > 0 && text !== "";
-        if (old) text += `, ${duration(age)} ago`;
-        if (e.series.sampled) text += " (a sample)";
-      }
-      if (e.text !== text) e.value.textContent = e.text = text;
-      e.value.classList.toggle("bad", !!channel.error);
-      e.value.classList.toggle("old", old);
+      const text = told ? e.layer.drawer.text(e, told, panel.resolution(e, i)) : "";
+      const age = text !== "" && i >= 0 ? e.series.age(i, cursor, told.at) : 0;
+      const shown = error ?? (age > 0 ? `${text}, ${duration(age)} ago` : text);
+      if (e.text !== shown) e.value.textContent = e.text = shown;
+      e.value.classList.toggle("bad", !!error);
+      e.value.classList.toggle("old", age > 0);
+      e.value.classList.toggle("waiting", !error && !value.knows(cursor));
+      const title = `${e.title}${exactly(e, told)}${inColumn(e, i)}`;
+      if (e.value.title !== title) e.value.title = title;
     }
   }
+}
+
+// The whole value, which the text beside the name may round.
+function exactly({ name }, told) {
+  const exact = told && (told.values.has(name) ? [told.values.get(name)] : [...told.values.values()]).join(", ");
+  return exact ? `\nat the cursor: ${exact}` : "";
+}
+
+// Where more messages than pixels are drawn, the column under the cursor stands for several of them.
+function inColumn({ series }, i) {
+  if (i < 0 || !series.min) return "";
+  const sample = series.sampled ? "\nThe line is drawn from a sample of the messages: zoom in for all." : "";
+  if (series.raw || !(series.n[i] > 1) || !Number.isFinite(series.min[i])) return sample;
+  return `\nin this column: ${series.min[i]} to ${series.max[i]}, ${series.n[i]} messages${sample}`;
 }

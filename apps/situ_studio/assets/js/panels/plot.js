@@ -4,7 +4,7 @@
 import uPlot from "uplot";
 import { GUTTER, FONT, theme, seriesColor, keyIndex } from "../page/theme.js";
 import { rulerTicks } from "../time/clock.js";
-import { axisNumber, valueTicks, paddedRange, tickCount } from "../page/number_text.js";
+import { axisNumber, fraction, valueTicks, paddedRange, tickCount } from "../page/number_text.js";
 import { Legend } from "./legend.js";
 import { brackets } from "../visualizers/paint.js";
 import { visualizers } from "../visualizers/index.js";
@@ -37,7 +37,7 @@ export class PlotPanel {
       old.delete(key);
       return Object.assign(layer, { vis, index });
     });
-    for (const l of old.values()) this.app.client.close(l.channel);
+    for (const l of old.values()) this.shut(l);
     this.legend.forget();
     this.legend.build();
     this.app.schedule(this);
@@ -45,14 +45,27 @@ export class PlotPanel {
 
   openLayer(key, vis) {
     const px = () => Math.max(this.el.clientWidth - GUTTER.left - GUTTER.right, 0);
-    const channel = this.app.client.open(
-      { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} },
-      () => this.app.schedule(this),
-      { px },
-    );
+    const spec = { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} };
+    const changed = () => this.app.schedule(this);
+    const channel = this.app.client.open(spec, changed, { px });
+    const value = this.app.client.open(spec, changed, { value: true });
     const drawer = visualizers.get(vis.draw) ?? visualizers.get("line");
     // what takes its time to be made asks to be drawn by itself
-    return { key, channel, vis, drawer, redraw: () => this.app.schedule(this) };
+    return { key, channel, value, vis, drawer, redraw: () => this.app.schedule(this) };
+  }
+
+  shut(layer) {
+    this.app.client.close(layer.channel);
+    this.app.client.close(layer.value);
+  }
+
+  // How close two values are that must be told apart, at row `i` of an entry: a thousandth of the axis, or less where
+  // the values around are closer.
+  resolution(entry, i) {
+    const { drawer } = entry.layer;
+    const [lo, hi] = this.own ? paddedRange([drawer.extent(entry, this.app.time.get().view)]) : this.y;
+    const found = [hi / 1000 - lo / 1000, entry.series?.spread?.(i)].filter((d) => d > 0);
+    return found.length ? Math.min(...found) : 0;
   }
 
   // The drawn lines: one entry for each layer, or for each key of a stream of maps.
@@ -91,7 +104,8 @@ export class PlotPanel {
       select: { show: false },
       scales: {
         x: { time: false, auto: false, range: () => this.app.time.get().view },
-        y: { auto: false, range: () => this.y },
+        // uPlot's own range is where a value lies between the ends of ours, which may be too far apart for it
+        y: { auto: false, range: () => [0, 1] },
       },
       series: [{}, { paths: () => null, points: { show: false } }],
       axes: [
@@ -111,8 +125,8 @@ export class PlotPanel {
           stroke: () => theme().axis,
           ticks: { show: false },
           grid: grid(),
-          splits: (u, _i, lo, hi) => valueTicks(lo, hi, tickCount(u.height - LEGEND)),
-          values: (_u, at) => this.labels(at),
+          splits: (u) => this.ticks(u.height).map((v) => fraction(v, ...this.y)),
+          values: (u) => this.labels(this.ticks(u.height)),
         },
       ],
       hooks: { draw: [(u) => this.draw(u)] },
@@ -150,12 +164,17 @@ export class PlotPanel {
   // The height of a value: on the panel's axis, or on that of the line alone.
   heights(entry, view, y) {
     const [lo, hi] = this.own ? paddedRange([entry.layer.drawer.extent(entry, view)]) : [0, 1];
-    return this.own ? (v) => y((v - lo) / (hi - lo)) : y;
+    return this.own ? (v) => y(fraction(v, lo, hi)) : y;
+  }
+
+  ticks(height) {
+    return valueTicks(...this.y, tickCount(height - LEGEND));
   }
 
   // The numbers beside the axis; none before there is anything to measure.
   labels(at) {
-    const texts = this.loading || this.own ? at.map(() => "") : at.map(axisNumber);
+    const step = at.length > 1 ? at[1] - at[0] : 0;
+    const texts = at.map((v) => (this.loading || this.own ? "" : axisNumber(v, step)));
     this.app.gutter.need(this, texts);
     return texts;
   }
@@ -171,7 +190,7 @@ export class PlotPanel {
     this.y = this.range(view);
     this.plot.batch(() => {
       this.plot.setScale("x", { min: view[0], max: view[1] });
-      this.plot.setScale("y", { min: this.y[0], max: this.y[1] });
+      this.plot.setScale("y", { min: 0, max: 1 });
     });
     this.plot.redraw(false, true);
     this.legend.values();
@@ -191,12 +210,13 @@ export class PlotPanel {
     ctx.font = FONT;
     ctx.textAlign = "right";
     ctx.textBaseline = "middle";
-    for (const v of valueTicks(lo, hi, tickCount(h - LEGEND))) {
-      const at = box.top + box.height - ((v - lo) / (hi - lo)) * box.height;
+    const ticks = this.ticks(h);
+    for (const v of ticks) {
+      const at = box.top + box.height - fraction(v, lo, hi) * box.height;
       ctx.fillStyle = t.grid;
       ctx.fillRect(box.left, at - 0.5, box.width, 1);
       ctx.fillStyle = t.axis;
-      if (!this.own) ctx.fillText(axisNumber(v), box.left - 6, at);
+      if (!this.own) ctx.fillText(axisNumber(v, ticks[1] - ticks[0]), box.left - 6, at);
     }
     const view = this.app.time.get().view;
     ctx.fillStyle = t.grid;
@@ -210,9 +230,8 @@ export class PlotPanel {
   paint(ctx, bbox, ratio) {
     const view = this.app.time.get().view;
     const kx = bbox.width / (view[1] - view[0]);
-    const ky = bbox.height / (this.y[1] - this.y[0]);
     const x = (t) => bbox.left + (t - view[0]) * kx;
-    const y = (v) => bbox.top + bbox.height - (v - this.y[0]) * ky;
+    const y = (v) => bbox.top + bbox.height - fraction(v, ...this.y) * bbox.height;
     ctx.save();
     ctx.beginPath();
     ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
@@ -259,7 +278,7 @@ export class PlotPanel {
   destroy() {
     this.observer.disconnect();
     this.app.gutter.need(this, null);
-    for (const l of this.layers) this.app.client.close(l.channel);
+    for (const l of this.layers) this.shut(l);
     this.plot?.destroy();
   }
 }

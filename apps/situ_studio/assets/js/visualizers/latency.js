@@ -1,6 +1,6 @@
 // Latency: a stem a message, in the warning colour above the limit.
 
-import { number } from "../page/number_text.js";
+import { valueText } from "../page/number_text.js";
 import { theme } from "../page/theme.js";
 import { line } from "./line.js";
 import * as paint from "./paint.js";
@@ -20,5 +20,5 @@ export const latency = {
     paint.stems(ctx, series, view, x, y, { color, warn: theme().warn, threshold, ratio });
   },
 
-  text: ({ series }, i) => (Number.isFinite(series.last[i]) ? `${number(series.last[i], 5)} ms` : ""),
+  text: (_entry, told, apart) => `${valueText(told.values.get(""), apart)} ms`,
 };

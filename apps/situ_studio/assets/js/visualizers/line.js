@@ -1,6 +1,6 @@
 // One number over time: a line, and the band between the extremes where there are more messages than pixels.
 
-import { number } from "../page/number_text.js";
+import { number, valueText } from "../page/number_text.js";
 import * as paint from "./paint.js";
 
 export const line = {
@@ -25,9 +25,12 @@ export const line = {
     });
   },
 
-  text({ layer, series }, i) {
-    if (!Number.isFinite(series.last[i])) return "";
+  // told: the exact values at the cursor (`ValueChannel`); apart: how close two values are that must differ.
+  text({ layer, name }, told, apart) {
+    const exact = told.values.get(name);
+    if (exact === undefined) return "";
     const { unit, digits } = layer.vis.props ?? {};
-    return number(series.last[i], digits ?? 5) + (unit ? " " + unit : "");
+    const text = digits == null ? valueText(exact, apart) : number(Number(exact), digits);
+    return text + (unit ? " " + unit : "");
   },
 };

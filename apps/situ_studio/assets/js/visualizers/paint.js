@@ -1,8 +1,10 @@
 // Drawing of one stream's window onto a plot. `x` and `y` map time and value to canvas pixels.
 
+import { columns, strokeOf } from "./columns.js";
+
 const SPACING = 9;
 
-// Line: straight or stepped joins while messages are fewer than pixels; zoomed out, a band from min to max.
+// Line: straight or stepped joins while messages are fewer than pixels; zoomed out, columns from min to max.
 export function line(
   ctx,
   s,
@@ -20,7 +22,11 @@ export function line(
   ctx.fillStyle = color;
   ctx.lineWidth = width * ratio;
   ctx.lineJoin = "round";
-  if (!s.raw) band(ctx, s, a, b, x, y);
+  if (!s.raw) {
+    upright(ctx, s, a, b, view, x, y, { least: Math.max(Math.round(width * ratio), 1), step, joined });
+    if (points) dots(ctx, s, a, b, x, y, (size / 2) * ratio, marker);
+    return;
+  }
   ctx.beginPath();
   let pen = false,
     py = 0;
@@ -56,28 +62,33 @@ export function line(
   if (joined) ctx.stroke();
   // dots show single messages, as long as they are apart
   const apart = b > a ? (x(s.t[b]) - x(s.t[a])) / (b - a) : Infinity;
-  if (points || (s.raw && apart > SPACING * ratio))
+  if (points || apart > SPACING * ratio)
     dots(ctx, s, a, b, x, y, points ? (size / 2) * ratio : 1.75 * ratio, points ? marker : "circle");
 }
 
-function band(ctx, s, a, b, x, y) {
-  ctx.globalAlpha = 0.42;
+// Opaque: one sample that stands out must be seen at every zoom.
+function upright(ctx, s, a, b, view, x, y, { least, step = false, joined = true }) {
+  const found = columns(s, a, b, x, Math.floor(x(view[0])), Math.ceil(x(view[1])));
   ctx.beginPath();
-  let start = a;
-  while (start <= b) {
-    while (start <= b && !Number.isFinite(s.max[start])) start++;
-    let end = start;
-    while (end <= b && Number.isFinite(s.max[end]) && (end === start || !s.holeBefore(end))) end++;
-    if (end > start) {
-      ctx.moveTo(x(s.t[start]), y(s.max[start]) - 0.5);
-      for (let i = start + 1; i < end; i++) ctx.lineTo(x(s.t[i]), y(s.max[i]) - 0.5);
-      for (let i = end - 1; i >= start; i--) ctx.lineTo(x(s.t[i]), y(s.min[i]) + 0.5);
-      ctx.closePath();
-    }
-    start = Math.max(end, start + 1);
+  for (let k = 0; k < found.lo.length; k++) {
+    if (!(found.lo[k] <= found.hi[k])) continue;
+    const [top, height] = strokeOf(y(found.hi[k]), y(found.lo[k]), least);
+    ctx.rect(found.left + k, top, 1, height);
   }
   ctx.fill();
-  ctx.globalAlpha = 1;
+  if (!joined) return;
+  ctx.beginPath();
+  for (const [c0, v0, c1, v1] of found.joins) {
+    ctx.moveTo(c0 + 0.5, y(v0));
+    if (step) ctx.lineTo(c1 + 0.5, y(v0));
+    ctx.lineTo(c1 + 0.5, y(v1));
+  }
+  // a step holds until the next message is due
+  if (step && b === s.length - 1 && Number.isFinite(s.last[b])) {
+    ctx.moveTo(x(s.t[b]), y(s.last[b]));
+    ctx.lineTo(Math.min(x(view[1]), x(s.t[b] + Math.min(s.patience(b), 1e15))), y(s.last[b]));
+  }
+  ctx.stroke();
 }
 
 // The outlines of markers around a place; those of strokes only are drawn as such.
@@ -120,31 +131,18 @@ function dots(ctx, s, a, b, x, y, r, marker) {
   else ctx.fill();
 }
 
-// Audio: one filled shape between the extremes, at least a hair thick so that silence shows.
+// Sound: columns between the extremes, a pixel high at least so that silence shows.
 export function wave(ctx, s, view, x, y, { color, ratio = 1 }) {
   const n = s.length;
   if (!n) return;
   const a = Math.max(s.at(view[0]), 0);
   const b = Math.min(s.at(view[1]) + 1, n - 1);
-  const hair = 0.5 * ratio;
-  ctx.fillStyle = color;
-  ctx.globalAlpha = 0.9;
-  let start = a;
-  ctx.beginPath();
-  while (start <= b) {
-    let end = start + 1;
-    while (end <= b && !s.holeBefore(end)) end++;
-    ctx.moveTo(x(s.t[start]), y(s.max[start]) - hair);
-    for (let i = start + 1; i < end; i++) ctx.lineTo(x(s.t[i]), y(s.max[i]) - hair);
-    for (let i = end - 1; i >= start; i--) ctx.lineTo(x(s.t[i]), y(s.min[i]) + hair);
-    ctx.closePath();
-    start = end;
-  }
-  ctx.fill();
-  ctx.globalAlpha = 1;
+  ctx.fillStyle = ctx.strokeStyle = color;
+  ctx.lineWidth = ratio;
+  upright(ctx, s, a, b, view, x, y, { least: 1 });
 }
 
-// Latency: a stem per message, in the warning colour above the threshold.
+// Latency: a stem per message, in the warning colour above the threshold; below zero it points down.
 export function stems(ctx, s, view, x, y, { color, warn, threshold, ratio = 1 }) {
   const n = s.length;
   if (!n) return;
@@ -157,8 +155,8 @@ export function stems(ctx, s, view, x, y, { color, warn, threshold, ratio = 1 })
     for (let i = a; i <= b; i++) {
       if (s.max[i] > threshold !== over) continue;
       const px = x(s.t[i]);
-      ctx.moveTo(px, y(0));
-      ctx.lineTo(px, y(s.max[i]));
+      ctx.moveTo(px, y(Math.min(s.min[i], 0)));
+      ctx.lineTo(px, y(Math.max(s.max[i], 0)));
     }
     ctx.stroke();
   }

@@ -1,6 +1,7 @@
 // Which frequencies a sound has over time: a column for each piece of sound, transformed in a worker.
 
 import { number } from "../page/number_text.js";
+import { levels } from "../spectrogram/fft.js";
 
 const MOST_COLUMNS = 4000;
 // From quiet to loud, read by people who do not tell red from green, too.
@@ -116,12 +117,12 @@ export const spectrogram = {
     });
   },
 
-  // The loudest frequency at the cursor.
-  text({ series }, i) {
-    const { levels } = series.columns[i];
+  // The loudest frequency of the sound at the cursor.
+  text(_entry, { samples, rate }) {
+    const found = levels(samples, 1, samples.length);
     let best = 1;
-    for (let k = 2; k < levels.length; k++) if (levels[k] > levels[best]) best = k;
-    if (!levels[best]) return "silent";
-    return `loudest ${number((best * series.rate) / series.n, 3)} Hz`;
+    for (let k = 2; k < found.length; k++) if (found[k] > found[best]) best = k;
+    if (!found[best]) return "silent";
+    return `loudest ${number((best * rate) / samples.length, 3)} Hz`;
   },
 };

@@ -1,5 +1,6 @@
 // Sound: the band between its extremes, about zero.
 
+import { valueText } from "../page/number_text.js";
 import { line } from "./line.js";
 import * as paint from "./paint.js";
 
@@ -13,9 +14,10 @@ export const waveform = {
     paint.wave(ctx, series, view, x, y, { color, ratio });
   },
 
-  text(entry, i) {
-    const said = line.text(entry, i);
-    return entry.series.together ? `${said} (all channels: zoom in for this one)` : said;
+  // The sample at the cursor, of each channel that is drawn.
+  text({ series }, told, apart) {
+    const said = [...told.values.values()].map((exact) => valueText(exact, apart)).join(" / ");
+    return series.together ? `${said} (drawn: all channels, zoom in for this one)` : said;
   },
 
   // The waveform that is heard while playing: all its channels, or the one that is drawn.

@@ -65,32 +65,52 @@ defmodule Situ.Studio.Draw do
     end
   end
 
-  defp at(source, channel, %{stream: stream, viz: viz} = spec, time, last) do
-    if draws?(viz, :instant, 3) or draws?(viz, :instant, 4) do
-      {last, kept} = last || {nil, %{}}
+  defp at(source, channel, %{viz: viz} = spec, time, last) do
+    cond do
+      draws?(viz, :value_at, 4) ->
+        value(source, channel, spec, time, last)
 
-      case message(source, stream, time, Map.get(spec, :props, %{})) do
-        {:ok, %{data: %Hole{}}} ->
-          {if(last == :hole, do: Frame.same(channel), else: Frame.none(channel)), {:hole, kept}}
+      draws?(viz, :instant, 3) or draws?(viz, :instant, 4) ->
+        drawn_at(source, channel, spec, time, last)
 
-        {:ok, message} ->
-          mark = {message.originating_time, message.sequence_id}
+      true ->
+        {Frame.error(channel, "#{inspect(viz.id)} is not drawn at the cursor"), nil}
+    end
+  end
 
-          if mark == last do
-            {Frame.same(channel), {last, kept}}
-          else
-            {frame, kept} = encode(source, channel, spec, message, kept)
-            {frame, {mark, kept}}
-          end
+  # What a visualizer over time says at the cursor.
+  defp value(source, channel, %{viz: viz} = spec, time, last) do
+    case viz.module.value_at(source, channel, spec, time) do
+      {:ok, ^last, _frame} -> {Frame.same(channel), last}
+      {:ok, mark, frame} -> {frame, mark}
+      :none when last == :none -> {Frame.same(channel), :none}
+      :none -> {Frame.none(channel), :none}
+      {:error, error} -> {Frame.error(channel, error.what), nil}
+    end
+  end
 
-        :none ->
-          {if(last == :none, do: Frame.same(channel), else: Frame.none(channel)), {:none, kept}}
+  defp drawn_at(source, channel, %{stream: stream} = spec, time, last) do
+    {last, kept} = last || {nil, %{}}
 
-        {:error, error} ->
-          {Frame.error(channel, error.what), {nil, kept}}
-      end
-    else
-      {Frame.error(channel, "#{inspect(viz.id)} is not drawn at the cursor"), nil}
+    case message(source, stream, time, Map.get(spec, :props, %{})) do
+      {:ok, %{data: %Hole{}}} ->
+        {if(last == :hole, do: Frame.same(channel), else: Frame.none(channel)), {:hole, kept}}
+
+      {:ok, message} ->
+        mark = {message.originating_time, message.sequence_id}
+
+        if mark == last do
+          {Frame.same(channel), {last, kept}}
+        else
+          {frame, kept} = encode(source, channel, spec, message, kept)
+          {frame, {mark, kept}}
+        end
+
+      :none ->
+        {if(last == :none, do: Frame.same(channel), else: Frame.none(channel)), {:none, kept}}
+
+      {:error, error} ->
+        {Frame.error(channel, error.what), {nil, kept}}
     end
   end
 

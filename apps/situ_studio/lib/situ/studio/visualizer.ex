@@ -103,7 +103,16 @@ defmodule Situ.Studio.Visualizer do
   @callback instant(Frame.channel(), data :: term(), Situ.Message.t(), context()) ::
               Frame.t() | {:kept, Frame.t(), map() | nil} | {:error, String.t()}
 
-  @optional_callbacks window: 6, instant: 3, instant: 4
+  @typedoc "What a stream says at a time: a frame, and a mark that differs for each message of the frame."
+  @type value :: {:ok, mark :: term(), Frame.t()} | :none | {:error, Situ.Error.t()}
+
+  @doc """
+  The exact value that a visualizer over time has at the cursor, from the message at or before it and never from a
+  summary (`Situ.Studio.Draw.Values`).
+  """
+  @callback value_at(Source.t(), Frame.channel(), spec(), Situ.Time.t()) :: value()
+
+  @optional_callbacks window: 6, instant: 3, instant: 4, value_at: 4
 
   @doc "The description of a module, complete."
   @spec of(given()) :: t()

@@ -2,7 +2,8 @@ defmodule Situ.Studio.Visualizers.Latency do
   @moduledoc "Milliseconds between a message's originating and its creation time, a stem each."
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Draw.Bins, Frame, Source, Visualizer}
+  alias Situ.Studio.{Frame, Source, Visualizer}
+  alias Situ.Studio.Draw.{Bins, Values}
   alias Situ.Studio.Visualizers.Option
 
   @rows 20_000
@@ -22,5 +23,12 @@ defmodule Situ.Studio.Visualizers.Latency do
       {points, raw?} = Bins.fold(points, bin, @points)
       Frame.series(channel, points, raw?, sampled: all == :more)
     end
+  end
+
+  @impl true
+  def value_at(source, channel, spec, time) do
+    Values.at(source, channel, %{spec | path: []}, time, fn _data, message ->
+      [{"", Situ.Message.latency(message) / 1.0e6}]
+    end)
   end
 end

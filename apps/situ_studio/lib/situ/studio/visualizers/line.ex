@@ -3,7 +3,7 @@ defmodule Situ.Studio.Visualizers.Line do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Draw, Frame, Path, Source, Visualizer}
-  alias Draw.{Bins, Messages}
+  alias Draw.{Bins, Messages, Values}
   alias Situ.Studio.Visualizers.Option
 
   @points 1_500
@@ -30,6 +30,10 @@ defmodule Situ.Studio.Visualizers.Line do
 
   def window(source, channel, spec, from, to, bin),
     do: of_messages(source, channel, spec, from, to, bin)
+
+  @impl true
+  def value_at(source, channel, spec, time),
+    do: Values.at(source, channel, spec, time, fn data, _message -> [{"", data}] end)
 
   defp summed(source, channel, stream, from, to, bin) do
     with {:ok, points, raw?} <- Source.call(source, :series, [stream, from, to, bin]),

@@ -10,7 +10,7 @@ defmodule Situ.Studio.Visualizers.Lines do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Draw, Frame, Path, Source, Visualizer}
-  alias Draw.{Bins, Key, Messages}
+  alias Draw.{Bins, Key, Messages, Values}
   alias Situ.Studio.Visualizers.Option
 
   @points 1_500
@@ -34,6 +34,14 @@ defmodule Situ.Studio.Visualizers.Lines do
 
   def window(source, channel, spec, from, to, bin),
     do: of_messages(source, channel, spec, from, to, bin)
+
+  @impl true
+  def value_at(source, channel, spec, time),
+    do: Values.at(source, channel, spec, time, fn data, _message -> by_name(data) end)
+
+  defp by_name(%module{}) when is_atom(module), do: []
+  defp by_name(%{} = map), do: for({key, value} <- map, do: {Key.text(key), value})
+  defp by_name(_other), do: []
 
   defp summed(channel, tracks) do
     bins = for {key, {:numbers, bins}} <- tracks, key != nil, into: %{}, do: {key, bins}

@@ -65,4 +65,16 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
       {:error, error} -> {:error, error}
     end
   end
+
+  @impl true
+  def value_at(source, channel, %{stream: stream} = spec, time) do
+    with {:ok, rate} <- rate(source, stream, time) do
+      length = div(@samples * @second, rate) + 1
+
+      case piece(source, {stream, chosen(spec)}, time, length) do
+        nil -> :none
+        samples -> {:ok, time, Frame.sounds(channel, [{time, samples}], rate)}
+      end
+    end
+  end
 end

@@ -5,8 +5,8 @@ defmodule Situ.Studio.Visualizers.Waveform do
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.{AudioBuffer, Sound}
-  alias Situ.Studio.{Frame, Source, Visualizer}
+  alias Situ.{AudioBuffer, AudioFormat, Sound}
+  alias Situ.Studio.{Draw.Values, Frame, Source, Visualizer}
   alias Situ.Studio.Visualizers.Option
 
   @most 120_000_000_000
@@ -71,5 +71,63 @@ defmodule Situ.Studio.Visualizers.Waveform do
   defp taken(buffer, one) do
     gains = for c <- 0..(buffer.format.channels - 1), do: if(c == one, do: 1, else: 0)
     Sound.remix!(buffer, [gains])
+  end
+
+  @impl true
+  def value_at(source, channel, %{stream: stream} = spec, time) do
+    with {:ok, %{data: %AudioBuffer{} = buffer} = message} <- sounding(source, stream, time) do
+      start = AudioBuffer.start_time(buffer, message.originating_time)
+      frames = AudioBuffer.frames(buffer)
+      n = time |> frame_at(start, buffer.format) |> min(frames - 1)
+      at = start + AudioFormat.frames_to_ns(buffer.format, n)
+      {:ok, {at, message.sequence_id}, Values.frame(channel, at, told(buffer, n, chosen(spec)))}
+    else
+      {:ok, _no_sound} -> :none
+      other -> other
+    end
+  end
+
+  # A buffer's time is that of its end: the one that ends after the cursor sounds then, if it has begun. Between two,
+  # the last sample of the one before is told, with its age.
+  defp sounding(source, stream, time) do
+    case Source.call(source, :next_after, [stream, time]) do
+      {:ok, %{data: %AudioBuffer{} = buffer, originating_time: stop} = message} ->
+        if AudioBuffer.frames(buffer) > 0 and AudioBuffer.start_time(buffer, stop) <= time,
+          do: {:ok, message},
+          else: before(source, stream, time)
+
+      _none ->
+        before(source, stream, time)
+    end
+  end
+
+  defp before(source, stream, time) do
+    with {:ok, %{data: %AudioBuffer{} = buffer} = message} <-
+           Source.call(source, :latest_at, [stream, time]),
+         do: if(AudioBuffer.frames(buffer) > 0, do: {:ok, message}, else: :none)
+  end
+
+  # The last frame that begins at or before a time. Frames begin at fractions of a ns, which are rounded.
+  defp frame_at(time, start, format) do
+    n = max(AudioFormat.ns_to_frames(format, time - start), 0)
+
+    if n > 0 and start + AudioFormat.frames_to_ns(format, n) > time, do: n - 1, else: n
+  end
+
+  defp told(buffer, n, one) do
+    channels = if one, do: [one], else: Enum.to_list(0..(buffer.format.channels - 1))
+    one_frame = AudioBuffer.slice(buffer, n, 1)
+
+    for c <- channels, c < buffer.format.channels do
+      name = if match?([_], channels), do: "", else: Integer.to_string(c + 1)
+      {name, sample(taken(one_frame, c))}
+    end
+  end
+
+  defp sample(frame) do
+    case Sound.remix!(frame, [[1]], sample: :f32).data do
+      <<value::little-float-32>> -> value
+      _not_a_number -> nil
+    end
   end
 end

@@ -1,0 +1,46 @@
+// Rows of more messages than pixels as columns of pixels, each from the least to the greatest value of the messages in
+// it. Pure.
+
+// The columns `left` <= c < right of the rows a..b of a series; `x` maps a time to pixels. A row that reaches over the
+// edge of a column belongs to both. Answers {left, lo, hi, joins}: of each column the least and the greatest value (NaN
+// where it is empty), and lines [c0, v0, c1, v1] across empty columns, where messages are farther apart than pixels.
+// Without a hole between them neighbours touch: a column reaches as far as the last value before it.
+export function columns(s, a, b, x, left, right) {
+  const n = Math.max(right - left, 0);
+  const lo = new Float64Array(n).fill(NaN),
+    hi = new Float64Array(n).fill(NaN);
+  const joins = [];
+  const put = (c, least, most) => {
+    const k = c - left;
+    if (k < 0 || k >= n) return;
+    if (!(lo[k] <= least)) lo[k] = least;
+    if (!(hi[k] >= most)) hi[k] = most;
+  };
+  let before = null;
+  for (let i = a; i <= b; i++) {
+    if (!Number.isFinite(s.min[i]) || !Number.isFinite(s.max[i])) {
+      before = null;
+      continue;
+    }
+    const c0 = Math.floor(x(s.t[i]));
+    const c1 = Math.max(c0, Math.ceil(x(s.end(i))) - 1);
+    for (let c = Math.max(c0, left); c <= Math.min(c1, right - 1); c++) put(c, s.min[i], s.max[i]);
+    if (before && !s.holeBefore(i)) {
+      const near = Math.min(Math.max(before.v, s.min[i]), s.max[i]);
+      if (c0 > before.c + 1) joins.push([before.c, before.v, c0, near]);
+      else put(c0, Math.min(near, before.v), Math.max(near, before.v));
+    }
+    before = { c: c1, v: Number.isFinite(s.last[i]) ? s.last[i] : near0(s, i) };
+  }
+  return { left, lo, hi, joins };
+}
+
+const near0 = (s, i) => Math.min(Math.max(0, s.min[i]), s.max[i]);
+
+// The pixels of a column between two heights: all that the values touch, `least` at least.
+export function strokeOf(top, bottom, least) {
+  const from = Math.floor(top),
+    to = Math.max(Math.ceil(bottom), from + 1);
+  const missing = Math.max(least - (to - from), 0);
+  return [from - Math.floor(missing / 2), to - from + missing];
+}
