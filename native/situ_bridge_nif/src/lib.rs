@@ -1,5 +1,6 @@
 //! BEAM glue of situ_mcap and situ_csv: decode, call, encode. No algorithms here.
 
+mod copy;
 mod layout;
 
 use std::collections::BTreeMap;
@@ -8,13 +9,13 @@ use std::sync::{Mutex, MutexGuard};
 
 use rustler::{Atom, Binary, Encoder, Env, NewBinary, ResourceArc, Term};
 use situ_csv::Values;
-use situ_mcap::{ChannelSpec, Compression, Error, Message, Query, Reader, Times, Writer};
+use situ_mcap::{ChannelSpec, Compression, Error, Message, Options, Query, Reader, Times, Writer};
 
 mod atoms {
     rustler::atoms! {
         ok, error, nil, io, not_mcap, damaged, closed,
         integer, float, boolean,
-        none, lz4, zstd, log, publish, ros1_header, cdr_header
+        none, lz4, zstd, log, publish, ros1_header, cdr_header, file
     }
 }
 
@@ -119,10 +120,15 @@ fn csv_lines<'a>(env: Env<'a>, kind: Atom, times: Binary<'a>, values: Binary<'a>
 
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_open<'a>(env: Env<'a>, path: String) -> Term<'a> {
-    answer(
-        env,
-        Reader::open(Path::new(&path)).map(|r| ResourceArc::new(ReaderResource(r))),
-    )
+    let reader = Reader::open(Path::new(&path));
+    answer(env, reader.map(|r| ResourceArc::new(ReaderResource(r))))
+}
+
+/// The same by passing over the file, since its index is wrong: `why`.
+#[rustler::nif(schedule = "DirtyIo")]
+fn mcap_open_without_index<'a>(env: Env<'a>, path: String, why: String) -> Term<'a> {
+    let reader = Reader::open_without_index(Path::new(&path), &why);
+    answer(env, reader.map(|r| ResourceArc::new(ReaderResource(r))))
 }
 
 /// `{profile, library, channels, schemas, attachments, metadata, damage, finished?}`
@@ -197,15 +203,13 @@ fn mcap_seek<'a>(
     answer(env, handle.0.seek(channel, times(by), clamped(time)))
 }
 
-/// `{:ok, [{time, log_time, publish_time, sequence, data}]}`; `what` is `{channel, times, from, to, most, bytes,
-/// envelopes?}`.
+type Wanted<'a> = ((u16, Atom), u64, Term<'a>, (usize, usize), (bool, bool));
+
+/// `{:ok, {[{time, log_time, publish_time, sequence, data}], next}}`; `what` is `{{channel, times}, from, to, {most,
+/// bytes}, {envelopes?, skip_damage?}}`.
 #[rustler::nif(schedule = "DirtyIo")]
-fn mcap_read<'a>(
-    env: Env<'a>,
-    handle: ResourceArc<ReaderResource>,
-    what: (u16, Atom, u64, Term<'a>, usize, usize, bool),
-) -> Term<'a> {
-    let (channel, by, from, to, most, bytes, envelopes) = what;
+fn mcap_read<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>, what: Wanted<'a>) -> Term<'a> {
+    let ((channel, by), from, to, (most, bytes), (envelopes, skip_damage)) = what;
     let query = Query {
         channel,
         times: times(by),
@@ -214,11 +218,12 @@ fn mcap_read<'a>(
         most,
         bytes,
         envelopes,
+        skip_damage,
     };
     match handle.0.read(&query) {
-        Ok(messages) => {
+        Ok((messages, next)) => {
             let messages: Vec<Term> = messages.iter().map(|m| message(env, m)).collect();
-            (atoms::ok(), messages).encode(env)
+            (atoms::ok(), (messages, next)).encode(env)
         }
         Err(error) => failed(env, &error),
     }
@@ -243,6 +248,16 @@ fn mcap_attachment<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>, offset
     }
 }
 
+fn packed(compression: Atom) -> Compression {
+    if compression == atoms::lz4() {
+        Compression::Lz4
+    } else if compression == atoms::zstd() {
+        Compression::Zstd
+    } else {
+        Compression::None
+    }
+}
+
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_create<'a>(
     env: Env<'a>,
@@ -251,14 +266,13 @@ fn mcap_create<'a>(
     compression: Atom,
     chunk: u64,
 ) -> Term<'a> {
-    let compression = if compression == atoms::lz4() {
-        Compression::Lz4
-    } else if compression == atoms::zstd() {
-        Compression::Zstd
-    } else {
-        Compression::None
+    let options = Options {
+        profile: &profile,
+        library: None,
+        compression: packed(compression),
+        chunk: Some(chunk),
     };
-    let writer = Writer::create(Path::new(&path), &profile, compression, chunk);
+    let writer = Writer::create(Path::new(&path), &options);
     answer(
         env,
         writer.map(|w| ResourceArc::new(WriterResource(Mutex::new(w)))),

@@ -6,6 +6,7 @@
 #![deny(missing_docs)]
 
 mod chunk;
+mod copy;
 mod file;
 mod layout;
 mod open;
@@ -13,10 +14,11 @@ mod reader;
 mod track;
 mod writer;
 
+pub use copy::{Copied, Copy, Order, Selection};
 pub use layout::Chunk;
 pub use reader::{Channel, Found, Info, Message, Query, Reader, Schema};
 pub use track::Times;
-pub use writer::{ChannelSpec, Compression, Writer};
+pub use writer::{ChannelSpec, Compression, Options, Writer};
 
 /// The errors of this crate; their texts are for people.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,19 +1,25 @@
 //! Opening: by the summary at the file's end where it is whole, else by passing over all records.
 
+mod attachment;
+mod gaps;
 mod scan;
 mod unpacked;
+mod walk;
 
 use std::collections::BTreeMap;
 
-use mcap::records::{op, Record};
+use mcap::records::{op, ChunkIndex, Record, Statistics};
 
 use crate::chunk::Records;
 use crate::file::{parse, Bytes};
 use crate::track::Entry;
 use crate::{Channel, Error, Found, Result, Schema};
 
+pub use attachment::Attached;
+pub use scan::left_out;
 use scan::scan;
 pub use unpacked::{header, unpacked};
+pub use walk::Walk;
 
 pub const MAGIC: &[u8] = &[0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
 const FOOTER: u64 = 9 + 20 + 8;
@@ -49,6 +55,17 @@ pub struct Contents {
     pub finished: bool,
 }
 
+/// More sentences tell nobody more.
+const MOST_DAMAGE: usize = 1000;
+
+impl Contents {
+    fn tell(&mut self, damage: String) {
+        if self.damage.len() < MOST_DAMAGE {
+            self.damage.push(damage);
+        }
+    }
+}
+
 pub fn contents(bytes: &Bytes) -> Result<Contents> {
     if bytes.size < 8 || bytes.read(0, 8)? != MAGIC {
         return Err(Error::NotMcap);
@@ -57,14 +74,19 @@ pub fn contents(bytes: &Bytes) -> Result<Contents> {
         Ok(Some(contents)) => Ok(contents),
         Ok(None) => scan(bytes),
         Err(Error::Damaged(at, why)) => {
-            let mut contents = scan(bytes)?;
-            contents
-                .damage
-                .push(format!("the index cannot be read at byte {at}: {why}"));
-            Ok(contents)
+            contents_without_index(bytes, &format!("at byte {at}: {why}"))
         }
         Err(other) => Err(other),
     }
+}
+
+pub fn contents_without_index(bytes: &Bytes, why: &str) -> Result<Contents> {
+    if bytes.size < 8 || bytes.read(0, 8)? != MAGIC {
+        return Err(Error::NotMcap);
+    }
+    let mut contents = scan(bytes)?;
+    contents.tell(format!("the index cannot be read {why}"));
+    Ok(contents)
 }
 
 /// `None` when there is no summary, or one that does not tell of every message.
@@ -91,36 +113,38 @@ fn by_summary(bytes: &Bytes) -> Result<Option<Contents>> {
     if let Some(place) = bytes.place(8)? {
         take(&mut contents, place.opcode, &bytes.body(place)?, place.body)?;
     }
-    let mut messages = None;
-    let mut chunks = 0;
+    let mut statistics = None;
     let mut read = 0;
+    let mut indexed = Vec::new();
     for (opcode, at, body) in Records::new(&section) {
         let at = footer.summary_start + at;
         read = at + 9 + body.len() as u64;
         match parse(opcode, body, at)? {
-            Record::Statistics(statistics) => {
-                messages = Some(statistics.message_count);
-                chunks = statistics.chunk_count as usize;
-                contents.counts = statistics.channel_message_counts;
+            Record::Statistics(found) => {
+                contents.counts = found.channel_message_counts.clone();
+                statistics = Some(found);
             }
-            Record::ChunkIndex(index) => contents.chunks.push(ChunkPlace {
-                offset: index.chunk_start_offset,
-                indexes: index.message_index_offsets,
-                start: index.message_start_time,
-                end: index.message_end_time,
-                length: index.chunk_length,
-                packed: index.compressed_size,
-                unpacked: index.uncompressed_size,
-                compression: index.compression,
-            }),
-            Record::AttachmentIndex(index) => contents.attachments.push(Found {
-                name: index.name,
-                media_type: index.media_type,
-                log_time: index.log_time,
-                offset: index.offset,
-                size: index.data_size,
-            }),
-            Record::MetadataIndex(index) => metadata(bytes, &mut contents, index.offset)?,
+            Record::ChunkIndex(index) => {
+                let length = index
+                    .chunk_length
+                    .saturating_add(index.message_index_length);
+                indexed.push((index.chunk_start_offset, length));
+                contents.chunks.push(chunk_place(index));
+            }
+            Record::AttachmentIndex(index) => {
+                indexed.push((index.offset, index.length));
+                contents.attachments.push(Found {
+                    name: index.name,
+                    media_type: index.media_type,
+                    log_time: index.log_time,
+                    offset: index.offset,
+                    size: index.data_size,
+                });
+            }
+            Record::MetadataIndex(index) => {
+                indexed.push((index.offset, index.length));
+                metadata(bytes, &mut contents, index.offset)?;
+            }
             _ => take(&mut contents, opcode, body, at)?,
         }
     }
@@ -130,19 +154,41 @@ fn by_summary(bytes: &Bytes) -> Result<Option<Contents>> {
             "the summary ends within a record".to_string(),
         ));
     }
+    contents.chunks.sort_by_key(|c| c.offset);
+    let whole = statistics.is_some_and(|statistics| tells_all(&contents, &statistics))
+        && gaps::read(bytes, &mut contents, indexed, footer.summary_start)?;
+    Ok(whole.then_some(contents))
+}
+
+fn chunk_place(index: ChunkIndex) -> ChunkPlace {
+    ChunkPlace {
+        offset: index.chunk_start_offset,
+        indexes: index.message_index_offsets,
+        start: index.message_start_time,
+        end: index.message_end_time,
+        length: index.chunk_length,
+        packed: index.compressed_size,
+        unpacked: index.uncompressed_size,
+        compression: index.compression,
+    }
+}
+
+/// Whether the summary tells where every message is.
+fn tells_all(contents: &Contents, statistics: &Statistics) -> bool {
     let told: u64 = contents.counts.values().sum();
+    let chunks = statistics.chunk_count as usize;
     let indexed = contents
         .chunks
         .iter()
         .all(|c| !c.indexes.is_empty() || c.start == 0 && c.end == 0);
-    contents.chunks.sort_by_key(|c| c.offset);
-    let whole = messages == Some(told)
-        && contents
-            .counts
-            .keys()
-            .all(|id| contents.channels.contains_key(id))
-        && (told == 0 || chunks > 0 && chunks == contents.chunks.len() && indexed);
-    Ok(whole.then_some(contents))
+    let known = contents
+        .counts
+        .keys()
+        .all(|id| contents.channels.contains_key(id));
+    let defined = |schema: u16| schema == 0 || contents.schemas.contains_key(&schema);
+    let defined = contents.channels.values().all(|c| defined(c.schema));
+    let counted = told == 0 || chunks > 0 && chunks == contents.chunks.len() && indexed;
+    statistics.message_count == told && known && defined && counted
 }
 
 fn metadata(bytes: &Bytes, contents: &mut Contents, offset: u64) -> Result<()> {
@@ -173,15 +219,8 @@ fn take(contents: &mut Contents, opcode: u8, body: &[u8], at: u64) -> Result<()>
             contents.schemas.entry(header.id).or_insert(schema);
         }
         Record::Channel(channel) => {
-            let id = channel.id;
-            let channel = Channel {
-                id,
-                topic: channel.topic,
-                encoding: channel.message_encoding,
-                schema: channel.schema_id,
-                metadata: channel.metadata,
-            };
-            contents.channels.entry(id).or_insert(channel);
+            let channel = Channel::from(channel);
+            contents.channels.entry(channel.id).or_insert(channel);
         }
         Record::Metadata(metadata) => contents.metadata.push((metadata.name, metadata.metadata)),
         _ => {}

@@ -8,7 +8,7 @@ use mcap::records::{op, MessageHeader, MessageIndexEntry, Record};
 
 use crate::chunk::Records;
 use crate::file::{parse, Bytes};
-use crate::open::{contents, unpacked, Contents};
+use crate::open::{contents, contents_without_index, unpacked, Contents};
 use crate::track::{Entry, Track, LOOSE};
 use crate::{Error, Result, Times};
 
@@ -25,6 +25,18 @@ pub struct Channel {
     pub schema: u16,
     /// The writer's metadata.
     pub metadata: BTreeMap<String, String>,
+}
+
+impl From<mcap::records::Channel> for Channel {
+    fn from(record: mcap::records::Channel) -> Self {
+        Channel {
+            id: record.id,
+            topic: record.topic,
+            encoding: record.message_encoding,
+            schema: record.schema_id,
+            metadata: record.metadata,
+        }
+    }
 }
 
 /// The type of a channel's messages.
@@ -106,6 +118,8 @@ pub struct Query {
     pub bytes: usize,
     /// Without their data.
     pub envelopes: bool,
+    /// Without those that cannot be read; else that is an error.
+    pub skip_damage: bool,
 }
 
 /// Bytes of unpacked chunks that are kept: streams that are read side by side share them.
@@ -113,7 +127,7 @@ const KEPT: usize = 64 << 20;
 
 /// An open file. Any thread may read.
 pub struct Reader {
-    bytes: Bytes,
+    pub(crate) bytes: Bytes,
     pub(crate) contents: Contents,
     tracks: Mutex<HashMap<(u16, Times), Arc<Track>>>,
     kept: Mutex<Vec<(u32, Arc<Vec<u8>>)>>,
@@ -123,6 +137,16 @@ impl std::hash::Hash for Times {
     fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
         (*self as u8).hash(state);
     }
+}
+
+/// A chunk that cannot be unpacked is not tried for each of its messages.
+fn behind_damage(track: &Track, at: usize) -> usize {
+    let chunk = track.entries[at].chunk;
+    let others = track.entries[at + 1..].iter();
+    let same = others
+        .take_while(|e| chunk != LOOSE && e.chunk == chunk)
+        .count();
+    at + 1 + same
 }
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -136,12 +160,23 @@ impl Reader {
     pub fn open(path: &Path) -> Result<Self> {
         let bytes = Bytes::open(path)?;
         let contents = contents(&bytes)?;
-        Ok(Reader {
+        Ok(Reader::new(bytes, contents))
+    }
+
+    /// Opens a file by passing over it, since its index is wrong: `why`.
+    pub fn open_without_index(path: &Path, why: &str) -> Result<Self> {
+        let bytes = Bytes::open(path)?;
+        let contents = contents_without_index(&bytes, why)?;
+        Ok(Reader::new(bytes, contents))
+    }
+
+    fn new(bytes: Bytes, contents: Contents) -> Self {
+        Reader {
             bytes,
             contents,
             tracks: Mutex::default(),
             kept: Mutex::default(),
-        })
+        }
     }
 
     /// A description of the file.
@@ -223,21 +258,28 @@ impl Reader {
         Ok(self.track(channel, times)?.seek(time) as u64)
     }
 
-    /// Messages of a channel: as the query says, at least one where there is one.
-    pub fn read(&self, query: &Query) -> Result<Vec<Message>> {
+    /// Returns messages of a channel as the query says, at least one where there is one, and the number to go on with.
+    pub fn read(&self, query: &Query) -> Result<(Vec<Message>, u64)> {
         let track = self.track(query.channel, query.times)?;
-        let from = usize::try_from(query.from).unwrap_or(usize::MAX);
+        let mut at = usize::try_from(query.from).unwrap_or(usize::MAX);
         let mut found = Vec::new();
         let mut size = 0;
-        for entry in track.entries.iter().skip(from).take(query.most) {
-            if i128::from(entry.time) > query.to || size >= query.bytes {
+        while let Some(entry) = track.entries.get(at) {
+            let enough = found.len() >= query.most || size >= query.bytes;
+            if i128::from(entry.time) > query.to || enough {
                 break;
             }
-            let message = self.message(entry, query.envelopes)?;
-            size += message.data.len();
-            found.push(message);
+            match self.message(entry, query.envelopes) {
+                Ok(message) => {
+                    size += message.data.len();
+                    found.push(message);
+                    at += 1;
+                }
+                Err(Error::Damaged(..)) if query.skip_damage => at = behind_damage(&track, at),
+                Err(other) => return Err(other),
+            }
         }
-        Ok(found)
+        Ok((found, at as u64))
     }
 
     fn message(&self, entry: &Entry, envelopes: bool) -> Result<Message> {
@@ -250,7 +292,7 @@ impl Reader {
         })
     }
 
-    fn with_message<T>(
+    pub(crate) fn with_message<T>(
         &self,
         entry: &Entry,
         fun: impl FnOnce(&MessageHeader, &[u8]) -> T,
@@ -312,10 +354,7 @@ impl Reader {
         if let Some(track) = locked(&self.tracks).get(&(channel, times)) {
             return Ok(track.clone());
         }
-        let mut entries = match &self.contents.entries {
-            Some(entries) => entries.get(&channel).cloned().unwrap_or_default(),
-            None => self.indexed(channel)?,
-        };
+        let mut entries = self.entries(channel)?;
         if times.in_messages() {
             for entry in &mut entries {
                 entry.time = self.with_message(entry, |header, data| times.of(header, data))?;
@@ -324,6 +363,14 @@ impl Reader {
         let track = Arc::new(Track::new(entries));
         locked(&self.tracks).insert((channel, times), track.clone());
         Ok(track)
+    }
+
+    /// The places of a channel's messages, by their log times as they are.
+    pub(crate) fn entries(&self, channel: u16) -> Result<Vec<Entry>> {
+        match &self.contents.entries {
+            Some(entries) => Ok(entries.get(&channel).cloned().unwrap_or_default()),
+            None => self.indexed(channel),
+        }
     }
 
     /// By the message indexes behind the chunks.

@@ -10,6 +10,8 @@ use mcap::records::{MessageHeader, Metadata};
 
 use crate::{Error, Result};
 
+const BUFFER: usize = 256 << 10;
+
 /// How chunks are compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Compression {
@@ -33,38 +35,47 @@ pub struct ChannelSpec<'a> {
     pub metadata: BTreeMap<String, String>,
 }
 
+/// How a file is written.
+pub struct Options<'a> {
+    /// Its profile, such as `ros1`.
+    pub profile: &'a str,
+    /// Who writes it; `None`: Situ.
+    pub library: Option<&'a str>,
+    /// How its chunks are compressed.
+    pub compression: Compression,
+    /// Bytes of a chunk before it is compressed; `None` for messages without chunks.
+    pub chunk: Option<u64>,
+}
+
 /// An MCAP file that grows. Flushed messages stay readable even if the writer dies.
 pub struct Writer {
     inner: Option<mcap::Writer<BufWriter<File>>>,
 }
 
 impl Writer {
-    /// A new file; an existing one is replaced.
-    pub fn create(
-        path: &Path,
-        profile: &str,
-        compression: Compression,
-        chunk: u64,
-    ) -> Result<Self> {
+    /// Creates a file; an existing one is replaced.
+    pub fn create(path: &Path, options: &Options) -> Result<Self> {
         let file = File::create(path).map_err(|e| Error::io("create", &e))?;
-        let compression = match compression {
+        let compression = match options.compression {
             Compression::None => None,
             Compression::Lz4 => Some(mcap::Compression::Lz4),
             Compression::Zstd => Some(mcap::Compression::Zstd),
         };
-        let options = mcap::WriteOptions::new()
-            .profile(profile)
-            .library(format!("situ/{}", env!("CARGO_PKG_VERSION")))
+        let situ = concat!("situ/", env!("CARGO_PKG_VERSION"));
+        let write = mcap::WriteOptions::new()
+            .profile(options.profile)
+            .library(options.library.unwrap_or(situ))
             .compression(compression)
             .compression_threads(0)
-            .chunk_size(Some(chunk));
-        let inner = options
-            .create(BufWriter::new(file))
+            .use_chunks(options.chunk.is_some())
+            .chunk_size(options.chunk);
+        let inner = write
+            .create(BufWriter::with_capacity(BUFFER, file))
             .map_err(|e| Error::mcap("begin", e))?;
         Ok(Writer { inner: Some(inner) })
     }
 
-    fn inner(&mut self) -> Result<&mut mcap::Writer<BufWriter<File>>> {
+    pub(crate) fn inner(&mut self) -> Result<&mut mcap::Writer<BufWriter<File>>> {
         self.inner.as_mut().ok_or(Error::Closed)
     }
 

@@ -1,18 +1,29 @@
 //! Files written here are read, cut short, and damaged in every way: what is whole is there, and nothing panics.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use situ_mcap::{ChannelSpec, Compression, Query, Reader, Times, Writer};
+use situ_mcap::{
+    ChannelSpec, Compression, Copied, Copy, Options, Order, Query, Reader, Selection, Times, Writer,
+};
 
 fn path(name: &str) -> PathBuf {
     std::env::temp_dir().join(format!("situ-mcap-{}-{name}.mcap", std::process::id()))
 }
 
+fn created(path: &Path, compression: Compression) -> Writer {
+    let options = Options {
+        profile: "",
+        library: None,
+        compression,
+        chunk: Some(2_000),
+    };
+    Writer::create(path, &options).unwrap_or_else(|e| unreachable!("{e:?}"))
+}
+
 fn written(name: &str, compression: Compression, finish: bool) -> PathBuf {
     let path = path(name);
-    let mut writer =
-        Writer::create(&path, "", compression, 2_000).unwrap_or_else(|e| unreachable!("{e:?}"));
+    let mut writer = created(&path, compression);
     let spec = |topic| ChannelSpec {
         topic,
         encoding: "json",
@@ -57,10 +68,11 @@ fn all(reader: &Reader, channel: u16, times: Times) -> Vec<(u64, Vec<u8>)> {
         most: usize::MAX,
         bytes: usize::MAX,
         envelopes: false,
+        skip_damage: true,
     };
     reader
         .read(&query)
-        .map(|m| m.into_iter().map(|m| (m.time, m.data)).collect())
+        .map(|(m, _)| m.into_iter().map(|m| (m.time, m.data)).collect())
         .unwrap_or_default()
 }
 
@@ -158,7 +170,7 @@ fn twenty_thousand_damaged_files_are_read_or_refused() {
     } else {
         20_000
     };
-    for _ in 0..turns {
+    for turn in 0..turns {
         let mut damaged = bytes.clone();
         for _ in 0..=next(3) {
             let at = next(damaged.len());
@@ -169,7 +181,94 @@ fn twenty_thousand_damaged_files_are_read_or_refused() {
             for (channel, _) in reader.info().channels.iter().take(4) {
                 let _ = all(&reader, channel.id, Times::Log);
             }
+            // A copy goes to the disk.
+            if turn % 20 == 0 {
+                let _ = copied(&reader, "damaged-copy", Order::File);
+                let _ = copied(&reader, "damaged-copy", Order::LogTime);
+            }
         }
     }
     let _ = fs::remove_file(path);
+}
+
+fn copied(reader: &Reader, name: &str, order: Order) -> Option<Copied> {
+    let path = path(name);
+    let mut writer = created(&path, Compression::Zstd);
+    let selection = Selection {
+        channels: None,
+        from: 0,
+        to: i128::MAX,
+        order,
+        replaced: Default::default(),
+        skip_damage: true,
+    };
+    let mut copy = Copy::begin(reader, &mut writer, selection).ok()?;
+    while !copy.step(reader, &mut writer).ok()? {}
+    assert_eq!(writer.finish(), Ok(()));
+    let _ = fs::remove_file(path);
+    Some(copy.copied().clone())
+}
+
+/// The offsets and lengths of the chunks of a file.
+fn chunks(path: &Path) -> Vec<(usize, usize)> {
+    let Ok(reader) = Reader::open(path) else {
+        unreachable!()
+    };
+    let chunks = reader.chunks();
+    let chunks = chunks.iter();
+    chunks
+        .map(|c| (c.offset as usize, c.length as usize))
+        .collect()
+}
+
+#[test]
+fn what_is_behind_damage_is_found_again() {
+    for (name, compression) in [
+        ("behind-none", Compression::None),
+        ("behind-lz4", Compression::Lz4),
+    ] {
+        let path = written(name, compression, true);
+        let bytes = fs::read(&path).unwrap_or_default();
+        let places = chunks(&path);
+        let (at, length) = places[places.len() / 2];
+        let summary = bytes.len() - 40;
+        // The length of a chunk's record: too long for the file, within it, too short; its kind; its contents.
+        let damages: [(usize, &[u8]); 5] = [
+            (at + 1, &[0xFF; 8]),
+            (at + 1, &[0x70, 0x17]),
+            (at + 1, &[3, 0]),
+            (at, &[0]),
+            (at + length / 2, &[0xAA; 20]),
+        ];
+        for (where_to, with) in damages {
+            let mut damaged = bytes.clone();
+            damaged[where_to..where_to + with.len()].copy_from_slice(with);
+            // Without the index as well: the chunks are looked for.
+            for cut in [bytes.len(), summary] {
+                assert!(fs::write(&path, &damaged[..cut]).is_ok());
+                let Ok(reader) = Reader::open(&path) else {
+                    unreachable!()
+                };
+                let info = reader.info();
+                let ids = info.channels.iter().map(|(c, _)| c.id);
+                let n: usize = ids.map(|id| all(&reader, id, Times::Log).len()).sum();
+                let lost = 500 / places.len() + 40;
+                assert!(
+                    n + 2 * lost >= 500,
+                    "{n} of 500 at {where_to} {with:?} {cut}"
+                );
+                let Some(copied) = copied(&reader, "behind-copy", Order::File) else {
+                    unreachable!()
+                };
+                let kept = copied.messages as usize;
+                assert!(
+                    kept + 2 * lost >= 500,
+                    "{kept} of 500 at {where_to} {with:?}"
+                );
+                assert!(!copied.left_out.is_empty());
+                assert_eq!(copied.attachments, 1);
+            }
+        }
+        let _ = fs::remove_file(path);
+    }
 }

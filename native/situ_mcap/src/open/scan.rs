@@ -4,40 +4,46 @@ use std::collections::BTreeMap;
 
 use mcap::records::{op, Record};
 
+use super::attachment::Attached;
+use super::walk::Walk;
 use super::{header, take, unpacked, Contents};
 use crate::chunk::Records;
 use crate::file::{parse, Bytes, Place};
 use crate::track::{Entry, LOOSE};
-use crate::{Error, Found, Result};
+use crate::{Error, Result};
 
-/// Passes over all records, up to the first that makes no sense.
+/// Passes over all records; those that make no sense are left out, with a word in `damage`.
 pub fn scan(bytes: &Bytes) -> Result<Contents> {
     let mut contents = Contents::default();
     let mut entries = BTreeMap::new();
-    let mut at = 8;
+    let mut walk = Walk::new(8, bytes.size);
     loop {
-        match bytes.place(at) {
-            Ok(Some(place)) => match record(bytes, place, at, &mut contents, &mut entries) {
-                Ok(true) => at = place.end(),
-                Ok(false) => break,
-                Err(Error::Damaged(fault, why)) => {
-                    contents.damage.push(format!("at byte {fault}: {why}"));
-                    // A chunk that cannot be unpacked still has a known end.
-                    if place.opcode != op::CHUNK || place.end() > bytes.size {
-                        break;
-                    }
-                    at = place.end();
+        let Some(place) = walk.place(bytes)? else {
+            contents.tell(format!("the file is cut short at byte {}", bytes.size));
+            break;
+        };
+        match record(bytes, place, walk.at, &mut contents, &mut entries) {
+            Ok(true) => walk.at = place.end(),
+            Ok(false) => break,
+            Err(Error::Damaged(fault, why)) => {
+                let passed = walk.pass(bytes, place)?;
+                contents.tell(left_out(fault, &why, passed));
+                if passed.is_none() {
+                    break;
                 }
-                Err(other) => return Err(other),
-            },
-            Ok(None) => {
-                contents
-                    .damage
-                    .push(format!("the file is cut short at byte {}", bytes.size));
-                break;
             }
             Err(other) => return Err(other),
         }
+    }
+    let unknown = entries
+        .iter()
+        .filter(|(id, _)| !contents.channels.contains_key(id))
+        .map(|(_, e): (&u16, &Vec<Entry>)| e.len())
+        .sum::<usize>();
+    if unknown > 0 {
+        contents.tell(format!(
+            "{unknown} messages are of channels that the file does not describe"
+        ));
     }
     entries.retain(|id, _| contents.channels.contains_key(id));
     contents.counts = entries
@@ -46,6 +52,14 @@ pub fn scan(bytes: &Bytes) -> Result<Contents> {
         .collect();
     contents.entries = Some(entries);
     Ok(contents)
+}
+
+/// A sentence about damage, and how much could not be read for it.
+pub fn left_out(fault: u64, why: &str, passed: Option<u64>) -> String {
+    match passed {
+        Some(n) => format!("at byte {fault}: {why} ({n} bytes are left out)"),
+        None => format!("at byte {fault}: {why}; nothing behind it can be read"),
+    }
 }
 
 type Entries = BTreeMap<u16, Vec<Entry>>;
@@ -82,21 +96,10 @@ fn record(
             entries.entry(header.channel_id).or_default().push(entry);
             Ok(true)
         }
-        op::CHUNK => {
-            chunk(bytes, place, at, contents, entries)?;
-            Ok(place.end() <= bytes.size)
-        }
+        op::CHUNK => chunk(bytes, place, at, contents, entries).map(|()| true),
         op::ATTACHMENT => {
-            let body = bytes.body(place)?;
-            if let Record::Attachment { header, data, .. } = parse(op::ATTACHMENT, &body, at)? {
-                contents.attachments.push(Found {
-                    name: header.name,
-                    media_type: header.media_type,
-                    log_time: header.log_time,
-                    offset: at,
-                    size: data.len() as u64,
-                });
-            }
+            let attached = Attached::read(bytes, place, at)?;
+            contents.attachments.push(attached.found(at));
             Ok(true)
         }
         op::HEADER | op::SCHEMA | op::CHANNEL | op::METADATA => {
@@ -136,8 +139,9 @@ fn chunk(
     }
     contents.chunks.push(header(bytes, place, at)?);
     if torn {
-        contents.damage.push(format!(
-            "the file is cut short within the chunk at byte {at}"
+        return Err(Error::Damaged(
+            at,
+            "the file is cut short within a chunk".to_string(),
         ));
     }
     Ok(())

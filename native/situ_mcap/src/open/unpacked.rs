@@ -31,7 +31,7 @@ pub fn unpacked(bytes: &Bytes, place: Place, at: u64) -> Result<(Vec<u8>, bool)>
 }
 
 /// Where a chunk's data begin, how they are compressed and what they unpack to.
-fn promise(body: &[u8]) -> Option<(usize, String, u64)> {
+pub(super) fn promise(body: &[u8]) -> Option<(usize, String, u64)> {
     let size = u64::from_le_bytes(body.get(16..24)?.try_into().ok()?);
     let name = u32::from_le_bytes(body.get(28..32)?.try_into().ok()?) as usize;
     let text = body.get(32..32usize.checked_add(name)?)?;

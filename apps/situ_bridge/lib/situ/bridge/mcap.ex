@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.Mcap do
-  alias Situ.Bridge.Mcap.{Codec, Failure, Writer}
+  alias Situ.Bridge.Mcap.{Codec, Copy, Failure, Writer}
   alias Situ.Bridge.Native
   alias Situ.Bridge.Recorder.{Export, Exporter}
   alias Situ.{Error, Message}
@@ -53,32 +53,39 @@ defmodule Situ.Bridge.Mcap do
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, ref} <- Failure.wrap(Native.mcap_open(path), path) do
-      {profile, library, channels, schemas, attachments, metadata, {damage, finished?}} =
-        Native.mcap_info(ref)
+      # An index that points at nothing is worse than none.
+      with {:error, %{code: :damaged} = error} <- open(path, ref, opts),
+           {:ok, ref} <-
+             Failure.wrap(Native.mcap_open_without_index(path, "(#{error.why})"), path),
+           do: open(path, ref, opts)
+    end
+  end
 
-      schemas =
-        Map.new(schemas, fn {id, name, encoding, data} -> {id, {name, encoding, data}} end)
+  defp open(path, ref, opts) do
+    {profile, library, channels, schemas, attachments, metadata, {damage, finished?}} =
+      Native.mcap_info(ref)
 
-      state = %__MODULE__{
-        path: path,
-        ref: ref,
-        times: opts[:times],
-        messages: opts[:messages],
-        name: Path.basename(path, Path.extname(path))
+    schemas = Map.new(schemas, fn {id, name, encoding, data} -> {id, {name, encoding, data}} end)
+
+    state = %__MODULE__{
+      path: path,
+      ref: ref,
+      times: opts[:times],
+      messages: opts[:messages],
+      name: Path.basename(path, Path.extname(path))
+    }
+
+    with {:ok, known} <- channels(state, channels, schemas) do
+      info = %{
+        profile: profile,
+        library: library,
+        attachments: attachments,
+        metadata: metadata,
+        damage: damage,
+        finished?: finished?
       }
 
-      with {:ok, known} <- channels(state, channels, schemas) do
-        info = %{
-          profile: profile,
-          library: library,
-          attachments: attachments,
-          metadata: metadata,
-          damage: damage,
-          finished?: finished?
-        }
-
-        {:ok, named(%{state | info: info}, known)}
-      end
+      {:ok, named(%{state | info: info}, known)}
     end
   end
 
@@ -186,12 +193,12 @@ defmodule Situ.Bridge.Mcap do
   def read(state, info, ordinal, to, limit, opts) do
     channel = Map.fetch!(state.channels, info.id)
     envelopes? = opts[:envelopes] == true
-    what = {channel.id, channel.times, ordinal, to, limit, @most_bytes, envelopes?}
+    skip? = opts[:skip_damage] == true
+    track = {channel.id, channel.times}
+    what = {track, ordinal, to, {limit, @most_bytes}, {envelopes?, skip?}}
 
-    with {:ok, found} <- Failure.wrap(Native.mcap_read(state.ref, what), state.path) do
-      messages = Enum.map(found, &message(&1, channel, envelopes?))
-      {:ok, messages, ordinal + length(messages)}
-    end
+    with {:ok, {found, next}} <- Failure.wrap(Native.mcap_read(state.ref, what), state.path),
+         do: {:ok, Enum.map(found, &message(&1, channel, envelopes?)), next}
   end
 
   defp message({time, log_time, _publish, sequence, bytes}, channel, envelopes?) do
@@ -362,11 +369,34 @@ defmodule Situ.Bridge.Mcap do
   defdelegate write(stream, exporter, topic, opts \\ []), to: Exporter
 
   @doc """
-  Writes a recording to a new MCAP file, its messages in order of time: `{:ok, count}`. Options as `create/3`, and
-  `streams:`, the names of those wanted, `encoding:` as `write/4`, `from:`, `to:` and `skip_damage:` as
-  `Situ.Store.messages/3`, and `progress:`, a function of the messages written so far.
+  Writes a recording to a new MCAP file: `{:ok, count}`. Options as `create/3`, and `streams:`, the names of those
+  wanted, `encoding:` as `write/4`, `from:`, `to:` and `skip_damage:` as `Situ.Store.messages/3`, and `progress:`, a
+  function of the messages written so far.
+
+  The messages of an MCAP file go as they are (`copy/3`) where no encoding is asked for; those of other recordings
+  are encoded, in order of time.
   """
   @spec export(Situ.Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
-  def export(store, path, opts \\ []), do: Export.export(Writer, store, path, opts)
+  def export(store, path, opts \\ [])
+
+  def export(%Situ.Store.Handle{module: __MODULE__} = store, path, opts) do
+    if Enum.any?([:encoding, :type, :definition, :frame], &Keyword.has_key?(opts, &1)),
+      do: Export.export(Writer, store, path, opts),
+      else: with({:ok, %{messages: count}} <- copy(store, path, opts), do: {:ok, count})
+  end
+
+  def export(store, path, opts), do: Export.export(Writer, store, path, opts)
+
+  @doc """
+  Copies an opened MCAP file into a new one, byte for byte: messages with both their times and sequence numbers,
+  schemas, channels with their metadata, attachments, records of metadata, the header, also those that Situ cannot
+  interpret. `metadata:` replaces records of the same names. `left_out` says in sentences what could not be read (with `skip_damage: true`) or has no place.
+
+  #{Situ.Options.docs(Copy.options())}
+  """
+  @spec copy(Situ.Store.t(), Path.t(), keyword()) ::
+          {:ok, %{messages: non_neg_integer(), left_out: [String.t()]}} | {:error, Error.t()}
+  def copy(%Situ.Store.Handle{module: __MODULE__, state: state}, path, opts \\ []),
+    do: Copy.copy(state, path, opts)
 end

@@ -14,6 +14,7 @@ defmodule Situ.Bridge.Native do
   def pack_lz4(_bytes), do: missing()
   def csv_lines(_kind, _times, _values), do: missing()
   def mcap_open(_path), do: missing()
+  def mcap_open_without_index(_path, _why), do: missing()
   def mcap_info(_reader), do: missing()
   def mcap_chunks(_reader), do: missing()
   def mcap_sizes(_reader, _chunk), do: missing()
@@ -28,6 +29,8 @@ defmodule Situ.Bridge.Native do
   def mcap_metadata(_writer, _name, _metadata), do: missing()
   def mcap_flush(_writer), do: missing()
   def mcap_finish(_writer), do: missing()
+  def mcap_copy_begin(_reader, _path, _packing, _selection), do: missing()
+  def mcap_copy_step(_copy), do: missing()
 
   defp missing, do: :erlang.nif_error(:nif_not_loaded)
 end

@@ -30,7 +30,7 @@ defmodule Situ.Bridge.Mcap.Failure do
     do:
       Error.new(:damaged, "#{path} is damaged at byte #{at}",
         why: why,
-        fix: "copy what can be read: `situ store copy #{path} FOLDER`"
+        fix: "`situ store recover '#{path}' NEW.mcap` writes what can be read to a new file"
       )
 
   def error(:closed, path),

@@ -23,9 +23,15 @@ defmodule Situ.Bridge.Mcap.Writer do
              Native.mcap_create(path, opts[:profile], opts[:compression], opts[:chunk]),
              path
            ),
-         :ok <- attach(ref, opts[:attachments], path),
-         :ok <- describe(ref, opts[:metadata], path),
+         :ok <- carry(ref, opts, path),
          do: {:ok, %__MODULE__{path: path, ref: ref}}
+  end
+
+  @doc "Appends the attachments and the metadata of the options."
+  @spec carry(reference(), keyword(), Path.t()) :: :ok | {:error, Error.t()}
+  def carry(ref, opts, path) do
+    with :ok <- attach(ref, opts[:attachments], path),
+         do: describe(ref, opts[:metadata], path)
   end
 
   defp attach(ref, attachments, path) do

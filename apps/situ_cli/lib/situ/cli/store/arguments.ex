@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Store.Arguments do
   @moduledoc false
   # Times, spans, streams and edits as people write them.
-  alias Situ.CLI.Option
+  alias Situ.CLI.{Option, Recording}
   alias Situ.{Error, Store, Time}
 
   @compressions %{"none" => :none, "lz4" => :lz4, "zstd" => :zstd}
@@ -67,6 +67,19 @@ defmodule Situ.CLI.Store.Arguments do
   @spec times(keyword()) :: keyword()
   def times(opts),
     do: Keyword.take(opts, [:from, :to])
+
+  @doc "`--start` and `--length` as `from:` and `to:`. Raises where the interval ends before it begins."
+  @spec absolute!(Path.t(), keyword()) :: keyword()
+  def absolute!(path, opts) do
+    {first, _last} = path |> Recording.open!() |> Store.interval() || {0, 0}
+    from = opts[:from] || first + (opts[:start] || 0)
+    to = opts[:to] || (opts[:length] && from + opts[:length])
+
+    if to && to < from,
+      do: raise(Error.new(:bad_interval, "the interval ends before it begins"))
+
+    Keyword.merge(opts, from: from, to: to)
+  end
 
   defp compression(nil), do: []
 

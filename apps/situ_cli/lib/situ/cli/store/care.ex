@@ -22,10 +22,20 @@ defmodule Situ.CLI.Store.Care do
         words: ["store", "repair"],
         aliases: ["recover", "reindex"],
         summary: "repair a store that was not closed, or is damaged; sound data stays",
-        arguments: [path: @store],
+        about: """
+        A store is repaired where it lies. An MCAP file is left as it is: what can be read of it, in front of damage and
+        behind it, goes byte for byte into OUT, which has an index.
+        """,
+        arguments: [
+          path: @store,
+          out: [kind: :file, optional: true, doc: "of an MCAP file: the new one"]
+        ],
         options: [Option.new(:dry_run, :flag, "only say what it would do")],
-        examples: ["situ store repair recordings/lobby.0007"],
-        run: fn %{path: path}, opts -> Health.repair(path, opts) end
+        examples: [
+          "situ store repair recordings/lobby.0007",
+          "situ store repair broken.mcap whole.mcap"
+        ],
+        run: fn %{path: path} = arguments, opts -> Health.repair(path, arguments[:out], opts) end
       },
       %Verb{
         words: ["store", "delete"],

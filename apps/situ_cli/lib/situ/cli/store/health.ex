@@ -2,7 +2,7 @@ defmodule Situ.CLI.Store.Health do
   @moduledoc false
   # `situ store verify` and `repair`.
   alias Situ.CLI.{Output, Progress}
-  alias Situ.CLI.Store.Foreign
+  alias Situ.CLI.Store.{Foreign, Saving}
   alias Situ.{Error, Store}
 
   @spec verify([Path.t()], keyword()) :: 0 | 1
@@ -35,7 +35,7 @@ defmodule Situ.CLI.Store.Health do
   defp text(prefix, path, {:ok, %{messages: _, damage: damage}}) do
     Output.puts(prefix <> "DAMAGED")
     for %{why: why} <- damage, do: Output.puts("  " <> why)
-    Output.puts("`situ store import --skip-damage '#{path}' NAME` keeps what is sound.")
+    Output.puts(foreign(path, nil).fix)
   end
 
   defp text(prefix, path, {:ok, %{damage: damage}}) do
@@ -68,16 +68,60 @@ defmodule Situ.CLI.Store.Health do
     Output.json(all)
   end
 
-  @spec repair(Path.t(), keyword()) :: 0
-  def repair(path, opts) do
-    dry? = opts[:dry_run] == true
+  @spec repair(Path.t(), Path.t() | nil, keyword()) :: 0
+  def repair(path, out, opts) do
+    cond do
+      File.regular?(path) and mcap?(path) and out != nil and mcap?(out) ->
+        recover(path, out, opts)
 
-    if File.regular?(path) do
-      raise Error.new(:not_a_store, "#{path} is a foreign file, which is left as it is",
-              fix:
-                "`situ store import --skip-damage '#{path}' NAME` makes a store of what can be read"
-            )
+      File.regular?(path) ->
+        raise foreign(path, out)
+
+      out != nil ->
+        raise in_place(path)
+
+      true ->
+        repair(path, opts)
     end
+  end
+
+  defp mcap?(path), do: Saving.format(path) == :mcap
+
+  defp foreign(path, out) do
+    fix =
+      cond do
+        not mcap?(path) ->
+          "`situ store import --skip-damage '#{path}' NAME` makes a store of what can be read"
+
+        out == nil ->
+          "`situ store recover '#{path}' '#{Path.rootname(path)}-recovered.mcap'` makes a new file of what can be read"
+
+        true ->
+          "name a new file that ends in .mcap, or make a store: `situ store import --skip-damage '#{path}' NAME`"
+      end
+
+    Error.new(:not_a_store, "#{path} is a foreign file, which is left as it is", fix: fix)
+  end
+
+  defp in_place(path) do
+    Error.new(:not_a_file, "#{path} is a store, which is repaired where it lies",
+      why: "only an MCAP file is recovered into another file",
+      fix: "`situ store repair '#{path}'`, or copy it first"
+    )
+  end
+
+  defp recover(path, out, opts) do
+    if opts[:dry_run],
+      do:
+        throw(
+          {:usage, "--dry-run is of stores; `situ store verify '#{path}'` tells what is damaged"}
+        )
+
+    Saving.save(%{path: path, file: out}, [{:skip_damage, true} | opts])
+  end
+
+  defp repair(path, opts) do
+    dry? = opts[:dry_run] == true
 
     report =
       Progress.show("repair", opts, fn progress ->

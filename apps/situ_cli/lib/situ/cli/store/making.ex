@@ -4,7 +4,7 @@ defmodule Situ.CLI.Store.Making do
   """
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
-  alias Situ.CLI.Store.Arguments
+  alias Situ.CLI.Store.{Arguments, Saving}
   alias Situ.{Error, Store}
 
   @recording [
@@ -17,93 +17,142 @@ defmodule Situ.CLI.Store.Making do
   NAME.*.unfinished is left, which the next of that name removes.
   """
 
+  @new_file [kind: :new, doc: "ROOT/NAME of the new store, or a file (.mcap, .bag, .csv ...)"]
+  @mcap "An MCAP file of another keeps every byte of its messages, their times, schemas and attachments."
+
   @impl true
   def verbs do
+    copies() ++
+      [
+        %Verb{
+          words: ["store", "crop"],
+          summary: "make a new store with an interval of a recording",
+          about: @about,
+          arguments: [path: @recording, out: @new_file],
+          options:
+            [
+              Option.new(:start, :span, "so long behind the recording's first message"),
+              Option.new(:length, :span, "so long from there")
+            ] ++ interval() ++ Arguments.streams() ++ storing(),
+          examples: ["situ store crop recordings/lobby lunch --start 30m --length 10m"],
+          run: &crop/2
+        },
+        %Verb{
+          words: ["store", "concat"],
+          aliases: ["merge"],
+          summary: "make one store out of several; streams of one name follow each other in time",
+          about: @about,
+          arguments: [path: Keyword.put(@recording, :many, true), out: @new],
+          options: Arguments.streams() ++ interval() ++ storing(),
+          examples: ["situ store concat monday tuesday week"],
+          run: fn %{path: paths, out: out}, opts ->
+            store!("concat", out)
+            paths = Recording.expand(paths)
+            made(paths, opts, &Store.concat(paths, out, copying(opts, &1)))
+          end
+        },
+        %Verb{
+          words: ["store", "split"],
+          summary: "cut a recording into stores of equal length, OUT-001, OUT-002 ...",
+          about: @about,
+          arguments: [path: @recording, out: @new],
+          options:
+            [Option.new(:every, :span, "the length of each")] ++ Arguments.streams() ++ storing(),
+          examples: ["situ store split recordings/day hours --every 1h"],
+          run: &split/2
+        },
+        %Verb{
+          words: ["store", "remove"],
+          aliases: ["remove-stream", "removestream"],
+          summary: "make the next version of a store, without some of its streams",
+          about: "The version before it stays: `situ store delete` removes it.",
+          arguments: [
+            path: @recording,
+            stream: [kind: :text, many: true, doc: "names or patterns of streams"]
+          ],
+          options: storing(),
+          examples: ["situ store remove recordings/lobby 'Lobby.Debug.*'"],
+          run: &remove/2
+        },
+        %Verb{
+          words: ["store", "edit"],
+          summary: "make a new store with single messages changed or deleted",
+          about: @about,
+          arguments: [path: @recording, out: @new],
+          options: [
+            Option.new(:set, :string, "puts a message there",
+              value: "STREAM@TIME=JSON",
+              many?: true
+            ),
+            Option.new(:delete, :string, "deletes the message there",
+              value: "STREAM@TIME",
+              many?: true
+            ),
+            skip_damage()
+          ],
+          examples: [
+            "situ store edit recordings/lobby mended --set 'Words@2026-01-31T12:00:00Z=\"five\"'"
+          ],
+          run: &edit/2
+        }
+      ]
+  end
+
+  defp copies do
     [
-      %Verb{
-        words: ["store", "copy"],
-        aliases: ["filter", "compress", "decompress", "sort"],
-        summary:
-          "make a new store with all or some streams of a recording, store or foreign file",
-        about: @about,
-        arguments: [path: @recording, out: @new],
-        options: Arguments.streams() ++ interval() ++ storing(),
-        examples: [
-          "situ store copy talk1.mp4 recordings/talk",
-          "situ store copy recordings/lobby small --exclude 'Lobby.Video*' --compression zstd"
-        ],
-        run: fn %{path: path, out: out}, opts ->
-          made([path], opts, &Store.copy(path, out, copying(opts, &1)))
-        end
-      },
-      %Verb{
-        words: ["store", "crop"],
-        summary: "make a new store with an interval of a recording",
-        about: @about,
-        arguments: [path: @recording, out: @new],
-        options:
-          [
-            Option.new(:start, :span, "so long behind the recording's first message"),
-            Option.new(:length, :span, "so long from there")
-          ] ++ interval() ++ Arguments.streams() ++ storing(),
-        examples: ["situ store crop recordings/lobby lunch --start 30m --length 10m"],
-        run: &crop/2
-      },
-      %Verb{
-        words: ["store", "concat"],
-        aliases: ["merge"],
-        summary: "make one store out of several; streams of one name follow each other in time",
-        about: @about,
-        arguments: [path: Keyword.put(@recording, :many, true), out: @new],
-        options: Arguments.streams() ++ interval() ++ storing(),
-        examples: ["situ store concat monday tuesday week"],
-        run: fn %{path: paths, out: out}, opts ->
-          paths = Recording.expand(paths)
-          made(paths, opts, &Store.concat(paths, out, copying(opts, &1)))
-        end
-      },
-      %Verb{
-        words: ["store", "split"],
-        summary: "cut a recording into stores of equal length, OUT-001, OUT-002 ...",
-        about: @about,
-        arguments: [path: @recording, out: @new],
-        options:
-          [Option.new(:every, :span, "the length of each")] ++ Arguments.streams() ++ storing(),
-        examples: ["situ store split recordings/day hours --every 1h"],
-        run: &split/2
-      },
-      %Verb{
-        words: ["store", "remove"],
-        aliases: ["remove-stream", "removestream"],
-        summary: "make the next version of a store, without some of its streams",
-        about: "The version before it stays: `situ store delete` removes it.",
-        arguments: [
-          path: @recording,
-          stream: [kind: :text, many: true, doc: "names or patterns of streams"]
-        ],
-        options: storing(),
-        examples: ["situ store remove recordings/lobby 'Lobby.Debug.*'"],
-        run: &remove/2
-      },
-      %Verb{
-        words: ["store", "edit"],
-        summary: "make a new store with single messages changed or deleted",
-        about: @about,
-        arguments: [path: @recording, out: @new],
-        options: [
-          Option.new(:set, :string, "puts a message there", value: "STREAM@TIME=JSON", many?: true),
-          Option.new(:delete, :string, "deletes the message there",
-            value: "STREAM@TIME",
-            many?: true
-          ),
-          skip_damage()
-        ],
-        examples: [
-          "situ store edit recordings/lobby mended --set 'Words@2026-01-31T12:00:00Z=\"five\"'"
-        ],
-        run: &edit/2
-      }
+      copy_verb("copy", "make a new store or file with all or some streams of a recording", [
+        "situ store copy talk1.mp4 recordings/talk",
+        "situ store copy recordings/lobby small --exclude 'Lobby.Video*' --compression zstd",
+        "situ store copy drive.mcap imu.mcap -s '/imu/*'"
+      ]),
+      copy_verb("compress", "copy, compressed by zstd where no --compression is given", [
+        "situ store compress drive.mcap small.mcap"
+      ]),
+      copy_verb("decompress", "copy without compression", [
+        "situ store decompress small.mcap drive.mcap"
+      ]),
+      copy_verb("sort", "copy; messages of an MCAP file are put in order of log time", [
+        "situ store sort drive.mcap sorted.mcap"
+      ])
     ]
+  end
+
+  defp copy_verb(word, summary, examples) do
+    %Verb{
+      words: ["store", word],
+      aliases: if(word == "copy", do: ["filter"], else: []),
+      summary: summary,
+      about: @about <> @mcap,
+      arguments: [path: @recording, out: @new_file],
+      options: Arguments.streams() ++ interval() ++ storing(),
+      examples: examples,
+      run: fn arguments, opts -> copy(arguments, defaults(word, opts)) end
+    }
+  end
+
+  defp defaults("compress", opts), do: Keyword.put_new(opts, :compression, "zstd")
+  defp defaults("decompress", opts), do: Keyword.put_new(opts, :compression, "none")
+  defp defaults("sort", opts), do: Keyword.put(opts, :order, :time)
+  defp defaults("copy", opts), do: opts
+
+  # A file named like one of another kind is one of that kind, as with `situ store save`.
+  defp copy(%{path: path, out: out}, opts) do
+    if Saving.format(out),
+      do: Saving.save(%{path: path, file: out}, opts),
+      else: made([path], opts, &Store.copy(path, out, copying(opts, &1)))
+  end
+
+  # These put together what only stores can hold.
+  defp store!(verb, out) do
+    if Saving.format(out) do
+      raise Error.new(
+              :not_a_store,
+              "`situ store #{verb}` makes a store, not #{Path.basename(out)}",
+              fix:
+                "make a store, then `situ store convert STORE #{out}`; copy, filter, compress, sort and crop " <>
+                  "make files too"
+            )
+    end
   end
 
   defp interval do
@@ -129,7 +178,9 @@ defmodule Situ.CLI.Store.Making do
     if Keyword.take(opts, [:from, :to, :start, :length]) == [],
       do: throw({:usage, "to what? Give --start and --length, or --from and --to"})
 
-    made([path], opts, &Store.crop(path, out, copying(opts, &1)))
+    if Saving.format(out),
+      do: Saving.save(%{path: path, file: out}, Arguments.absolute!(path, opts)),
+      else: made([path], opts, &Store.crop(path, out, copying(opts, &1)))
   end
 
   defp made(paths, opts, make) do
@@ -148,6 +199,7 @@ defmodule Situ.CLI.Store.Making do
 
   defp split(%{path: path, out: out}, opts) do
     every = opts[:every] || throw({:usage, "into which lengths? Give --every SPAN"})
+    store!("split", out)
     if every <= 0, do: throw({:usage, "--every is more than nothing"})
     store = Recording.open!(path)
 
@@ -191,6 +243,8 @@ defmodule Situ.CLI.Store.Making do
   end
 
   defp edit(%{path: path, out: out}, opts) do
+    store!("edit", out)
+
     case Arguments.edits!(Recording.open!(path), opts) do
       none when none == %{} ->
         throw({:usage, "which changes? Give --set or --delete"})

@@ -121,6 +121,22 @@ defmodule Situ.CLI.Store.Saving do
     0
   end
 
+  # An MCAP file of another goes as it is, record by record.
+  defp save(:mcap, %{module: Mcap} = store, chosen, file, opts, progress) do
+    alone!(opts)
+    whole!(file, :mcap)
+    total = chosen |> Enum.map(& &1.count) |> Enum.sum()
+    all? = length(chosen) == length(Store.streams(store))
+    names = unless all?, do: Enum.map(chosen, & &1.name)
+    carried = [attachments: opts[:attach] || [], metadata: added(opts)]
+    written = [progress: &progress.(&1, total)] ++ compression(:mcap, opts[:compression])
+    copying = [streams: names] ++ Keyword.take(opts, [:order]) ++ reading(opts)
+
+    copied = whole!(file, &Mcap.copy(store, &1, copying ++ written ++ carried))
+    for sentence <- copied.left_out, do: Output.warn("Left out: " <> sentence)
+    Map.put(copied, :streams, length(chosen))
+  end
+
   defp save(format, store, chosen, file, opts, progress) when is_map_key(@recordings, format) do
     alone!(opts)
     whole!(file, format)
@@ -128,24 +144,14 @@ defmodule Situ.CLI.Store.Saving do
     names = Enum.map(chosen, & &1.name)
     written = [progress: &progress.(&1, total)] ++ compression(format, opts[:compression])
 
-    exporting = [streams: names] ++ reading(opts) ++ written ++ carried(format, store, opts)
+    exporting = [streams: names] ++ reading(opts) ++ written ++ carried(format, opts)
 
-    # Beside the file until it is whole: what stood there may be the very recording that is read.
-    unfinished = file <> ".unfinished"
-
-    case @recordings[format].export(store, unfinished, exporting) do
-      {:ok, count} ->
-        renamed(unfinished, file)
-        %{messages: count, streams: length(names)}
-
-      {:error, error} ->
-        _ = File.rm(unfinished)
-        raise error
-    end
+    count = whole!(file, &@recordings[format].export(store, &1, exporting))
+    %{messages: count, streams: length(names)}
   end
 
   defp save(format, store, chosen, file, opts, progress) when is_map_key(@tables, format) do
-    [] = carried(format, store, opts)
+    [] = carried(format, opts)
     whole!(file, format)
     info = if opts[:on], do: stream!(store, opts[:on]), else: one(store, chosen)
     written = [progress: &progress.(&1, info.count)] ++ compression(format, opts[:compression])
@@ -154,14 +160,14 @@ defmodule Situ.CLI.Store.Saving do
 
   defp save(:protobuf, store, chosen, file, opts, progress) do
     alone!(opts)
-    [] = carried(:protobuf, store, opts) ++ compression(:protobuf, opts[:compression])
+    [] = carried(:protobuf, opts) ++ compression(:protobuf, opts[:compression])
     whole!(file, :protobuf)
     Protobuf.save(store, one(store, chosen), file, opts, {reading(opts), progress})
   end
 
   defp save(format, store, chosen, file, opts, progress) do
     alone!(opts)
-    [] = carried(format, store, opts)
+    [] = carried(format, opts)
     unless compression(format, opts[:compression]) == [], do: unpackable(format)
     info = one(store, chosen)
     out = out(file)
@@ -199,25 +205,17 @@ defmodule Situ.CLI.Store.Saving do
     if opts[:on], do: throw({:usage, "--on makes one table: of Parquet or Arrow"})
   end
 
-  # An MCAP file made of another keeps what that carried, and gets what is given.
-  defp carried(:mcap, store, opts) do
-    kept = for a <- kept(store), do: {a.name, a.media_type, a.time, bytes(store, a.name)}
-    records = if store.module == Mcap, do: Store.info(store).metadata, else: []
-    records = Map.merge(Map.new(records), Arguments.records!(opts[:metadata] || []))
-    [attachments: kept ++ (opts[:attach] || []), metadata: records]
-  end
+  defp carried(:mcap, opts),
+    do: [attachments: opts[:attach] || [], metadata: added(opts)]
 
-  defp carried(format, _store, opts) do
+  defp carried(format, opts) do
     if (opts[:attach] || []) != [] or (opts[:metadata] || []) != [],
       do: throw({:usage, "#{format} has no attachments and metadata; MCAP has"})
 
     []
   end
 
-  defp kept(%{module: Mcap} = store), do: Mcap.attachments(store)
-  defp kept(_store), do: []
-
-  defp bytes(store, name), do: Error.unwrap!(Mcap.attachment(store, name))
+  defp added(opts), do: Arguments.records!(opts[:metadata] || [])
 
   # A record that cannot be written ends it, and a file that is not whole does not stay.
   defp records(format, part, place, out) do
@@ -253,13 +251,28 @@ defmodule Situ.CLI.Store.Saving do
   end
 
   # These are written with an index at the end, and renamed when they are whole.
-  defp whole!("-", format),
+  defp whole!("-", format) when is_atom(format),
     do:
       throw(
         {:usage, "#{format} goes to a file, not to standard output: it is whole at its end only"}
       )
 
-  defp whole!(_file, _format), do: :ok
+  defp whole!(_file, format) when is_atom(format), do: :ok
+
+  # Beside the file until it is whole: what stood there may be the very recording that is read.
+  defp whole!(file, write) do
+    unfinished = file <> ".unfinished"
+
+    case write.(unfinished) do
+      {:ok, result} ->
+        renamed(unfinished, file)
+        result
+
+      {:error, error} ->
+        _ = File.rm(unfinished)
+        raise error
+    end
+  end
 
   defp one(_store, [one]), do: one
 

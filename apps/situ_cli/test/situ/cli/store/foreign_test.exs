@@ -25,7 +25,7 @@ defmodule Situ.CLI.Store.ForeignTest do
     cut = Path.join(root, "cut.mcap")
     File.write!(cut, binary_part(bytes, 0, div(byte_size(bytes), 2)))
     assert {1, said} = situ(["verify", cut])
-    assert said =~ "DAMAGED" and said =~ "situ store import --skip-damage"
+    assert said =~ "DAMAGED" and said =~ "situ store recover"
 
     altered = Path.join(root, "altered.mcap")
     at = div(byte_size(bytes), 3)
@@ -36,7 +36,90 @@ defmodule Situ.CLI.Store.ForeignTest do
   end
 
   test "repair leaves such files alone, and says so" do
-    said = capture_io(:stderr, fn -> assert Situ.CLI.run(["store", "repair", @drive]) == 1 end)
-    assert said =~ "left as it is" and said =~ "import"
+    assert failed(["repair", @drive]) =~ "left as it is"
+    assert failed(["repair", @drive]) =~ "situ store recover"
+    bag = Path.rootname(@drive) <> ".bag"
+    assert failed(["repair", bag]) =~ "situ store import --skip-damage"
+    assert failed(["recover", bag, "out.bag"]) =~ "situ store import --skip-damage"
+    assert failed(["recover", @drive, "out.bag"]) =~ "ends in .mcap"
+  end
+
+  defp failed(argv),
+    do: capture_io(:stderr, fn -> assert Situ.CLI.run(["store" | argv]) == 1 end)
+
+  test "what can be read of a damaged MCAP file goes into a new one", %{tmp_dir: root} do
+    sound = Path.join(root, "sound.mcap")
+    {:ok, _} = @drive |> Situ.Store.open!() |> Situ.Bridge.Mcap.copy(sound, chunk: 20_000)
+    bytes = File.read!(sound)
+    broken = Path.join(root, "broken.mcap")
+    whole = Path.join(root, "whole.mcap")
+    at = div(byte_size(bytes), 3)
+    <<before::binary-size(at), _::binary-20, rest::binary>> = bytes
+    # Without its end there is no index either.
+    File.write!(broken, [
+      before,
+      :binary.copy(<<0xAA>>, 20),
+      binary_part(rest, 0, byte_size(rest) - 100)
+    ])
+
+    said =
+      capture_io(:stderr, fn ->
+        assert {0, json} = situ(["recover", broken, whole, "--json"])
+        assert {:ok, %{"messages" => n, "left_out" => [_ | _]}} = Situ.JSON.decode(json)
+        assert n > 100
+      end)
+
+    assert said =~ "Left out: "
+    assert {0, said} = situ(["verify", whole])
+    assert said =~ "all can be read"
+
+    assert failed(["recover", root, whole]) =~ "no store" or
+             failed(["recover", root, whole]) =~ "repaired"
+  end
+
+  test "a file named like an MCAP file is one, with the bytes of the original", %{tmp_dir: root} do
+    want = raw(@drive)
+
+    for {verb, more} <- [
+          {"copy", []},
+          {"filter", []},
+          {"compress", []},
+          {"decompress", []},
+          {"sort", []},
+          {"crop", ["--start", "0s"]},
+          {"convert", ["--compression", "lz4"]}
+        ] do
+      out = Path.join(root, verb <> ".mcap")
+      assert {verb, {0, _}} = {verb, situ([verb, @drive, out | more])}
+      assert File.ls!(root) == [verb <> ".mcap"]
+      assert {verb, raw(out)} == {verb, want}
+      File.rm!(out)
+    end
+  end
+
+  # The messages as they lie in the file, of all channels.
+  defp raw(path) do
+    store = Situ.Store.open!(path)
+    %{state: %{ref: ref}} = store
+
+    for channel <- Situ.Bridge.Mcap.channels(store), into: %{} do
+      what = {{channel.id, :log}, 0, :unbounded, {10_000, 1_000_000_000}, {false, false}}
+      {:ok, {messages, _}} = Situ.Bridge.Native.mcap_read(ref, what)
+      {channel, messages}
+    end
+  end
+
+  test "verbs that make stores alone refuse the name of a file", %{tmp_dir: root} do
+    out = Path.join(root, "out.mcap")
+
+    for argv <- [
+          ["concat", @drive, @drive, out],
+          ["split", @drive, out, "--every", "1s"],
+          ["edit", @drive, out, "--set", "/chatter@0=1"]
+        ] do
+      assert failed(argv) =~ "makes a store"
+    end
+
+    assert File.ls!(root) == []
   end
 end

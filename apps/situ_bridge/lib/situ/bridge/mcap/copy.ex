@@ -1,0 +1,104 @@
+defmodule Situ.Bridge.Mcap.Copy do
+  @moduledoc false
+  # An MCAP file into another, record by record, by the native side: nothing is decoded.
+  alias Situ.Bridge.Mcap.{Failure, Options, Writer}
+  alias Situ.Bridge.Native
+  alias Situ.Error
+
+  @options [
+             streams: [
+               type: {:optional, {:list, :string}},
+               default: nil,
+               doc: "The names of the streams wanted; default: all, with all schemas."
+             ],
+             from: [type: {:optional, :integer}, default: nil, doc: "The first log time, ns."],
+             to: [type: {:optional, :integer}, default: nil, doc: "The last log time, ns."],
+             order: [
+               type: {:in, [:file, :time]},
+               default: :file,
+               doc:
+                 "The order of messages: as in the original, or by log time (those of one time stay in their order)."
+             ],
+             skip_damage: [
+               type: :boolean,
+               default: false,
+               doc: "Leave out what is damaged; else it is an error."
+             ],
+             progress: [
+               type: {:fun, 1},
+               default: nil,
+               doc: "A function of the messages written so far."
+             ],
+             profile: [
+               type: {:optional, :string},
+               default: nil,
+               doc: "The file's profile; default: as it is."
+             ],
+             compression: [
+               type: {:optional, {:in, [:none, :lz4, :zstd]}},
+               default: nil,
+               doc: "How chunks are compressed; default: as they are."
+             ]
+           ] ++ Keyword.take(Options.file(), [:chunk, :attachments, :metadata])
+
+  @spec options() :: Situ.Options.schema()
+  def options, do: @options
+
+  @spec copy(struct(), Path.t(), keyword()) ::
+          {:ok, %{messages: non_neg_integer(), left_out: [String.t()]}} | {:error, Error.t()}
+  def copy(state, path, opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @options),
+         {:ok, {copy, writer}} <- begin(state, path, opts) do
+      # What goes wrong is in the original, unless the disk is full.
+      with {:ok, copied} <- steps(copy, opts[:progress] || fn _ -> :ok end, state.path),
+           :ok <- Writer.carry(writer, opts, path),
+           {:ok, _} <- Failure.wrap(Native.mcap_finish(writer), path),
+           do: {:ok, copied}
+    end
+  end
+
+  defp begin(state, path, opts) do
+    packing = {opts[:profile], opts[:compression], opts[:chunk]}
+    order = if opts[:order] == :time, do: :log, else: :file
+
+    with {:ok, channels} <- channels(state, opts[:streams]) do
+      # A record that is given takes the place of those of its name.
+      replaced = for {name, _} <- opts[:metadata], do: to_string(name)
+      times = {opts[:from] || 0, opts[:to] || :unbounded}
+      selection = {channels, times, order, replaced, opts[:skip_damage]}
+
+      state.ref
+      |> Native.mcap_copy_begin(path, packing, selection)
+      |> Failure.wrap(state.path)
+    end
+  end
+
+  defp channels(_state, nil), do: {:ok, nil}
+
+  defp channels(state, names) do
+    ids = Map.new(state.streams, &{&1.name, &1.id})
+
+    case Enum.reject(names, &is_map_key(ids, &1)) do
+      [] ->
+        {:ok, Enum.map(names, &ids[&1])}
+
+      [name | _] ->
+        {:error, Error.new(:no_stream, "#{state.path} has no stream #{inspect(name)}")}
+    end
+  end
+
+  defp steps(copy, progress, path) do
+    case Failure.wrap(Native.mcap_copy_step(copy), path) do
+      {:ok, {true, messages, left_out}} ->
+        progress.(messages)
+        {:ok, %{messages: messages, left_out: left_out}}
+
+      {:ok, {false, messages, _}} ->
+        progress.(messages)
+        steps(copy, progress, path)
+
+      {:error, error} ->
+        {:error, error}
+    end
+  end
+end

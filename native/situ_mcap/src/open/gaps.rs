@@ -1,0 +1,78 @@
+//! What lies between the records that an index names: an index may leave attachments and metadata out.
+
+use mcap::records::op;
+
+use super::attachment::Attached;
+use super::walk::Walk;
+use super::{take, Contents};
+use crate::file::{Bytes, Place};
+use crate::{Error, Result};
+
+/// Adds what is there without an index. `false` where messages are among it: then the index does not tell of all.
+/// `indexed` are the offsets and lengths of the records that it names.
+pub fn read(
+    bytes: &Bytes,
+    contents: &mut Contents,
+    mut indexed: Vec<(u64, u64)>,
+    summary: u64,
+) -> Result<bool> {
+    indexed.sort_unstable();
+    indexed.push((summary, 0));
+    let mut at = 8;
+    for (offset, length) in indexed {
+        match between(bytes, contents, at, offset.min(summary))? {
+            Found::Others => {}
+            Found::Messages => return Ok(false),
+            Found::End => return Ok(true),
+        }
+        at = at.max(offset.saturating_add(length));
+    }
+    Ok(true)
+}
+
+enum Found {
+    Others,
+    Messages,
+    End,
+}
+
+fn between(bytes: &Bytes, contents: &mut Contents, from: u64, until: u64) -> Result<Found> {
+    let mut walk = Walk::new(from, until);
+    while let Some(place) = walk.place(bytes)? {
+        let result = match place.opcode {
+            op::MESSAGE | op::CHUNK => return Ok(Found::Messages),
+            op::DATA_END => return Ok(Found::End),
+            _ if place.opcode == 0 || place.end() > until => {
+                let why = "no record of the file is there".to_string();
+                Err(Error::Damaged(walk.at, why))
+            }
+            _ => record(bytes, contents, place, walk.at),
+        };
+        match result {
+            Ok(()) => walk.at = place.end(),
+            // The index says where the next record begins.
+            Err(Error::Damaged(at, why)) => {
+                let passed = until - walk.at;
+                contents.tell(format!("at byte {at}: {why} ({passed} bytes are left out)"));
+                return Ok(Found::Others);
+            }
+            Err(other) => return Err(other),
+        }
+    }
+    Ok(Found::Others)
+}
+
+fn record(bytes: &Bytes, contents: &mut Contents, place: Place, at: u64) -> Result<()> {
+    match place.opcode {
+        // The header was read before.
+        op::SCHEMA | op::CHANNEL | op::METADATA => {
+            take(contents, place.opcode, &bytes.body(place)?, at)
+        }
+        op::ATTACHMENT => {
+            let attached = Attached::read(bytes, place, at)?;
+            contents.attachments.push(attached.found(at));
+            Ok(())
+        }
+        _ => Ok(()),
+    }
+}
