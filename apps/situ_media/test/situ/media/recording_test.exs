@@ -4,6 +4,7 @@ defmodule Situ.Media.RecordingTest do
   import Situ.Media.TestFiles
   alias Situ.{AudioBuffer, Pipeline, Sound, Store, Time}
   alias Situ.Media.Recording
+  alias Situ.Media.Recording.Pictures
 
   doctest Situ.Media.Recording.Index
   doctest Situ.Media.Recording.Waveform
@@ -74,6 +75,37 @@ defmodule Situ.Media.RecordingTest do
     {:ok, some} = Store.read(store, "Video", from: from, to: to)
     assert Enum.map(some, &{&1.originating_time, &1.data}) == Enum.slice(pictures, 20..27)
     assert {:ok, nil} = Store.first_at(store, "Video", Time.s(3))
+  end
+
+  test "a jump decodes one picture, a step back those before it too; each is the one of a full decode",
+       %{
+         tmp_dir: root
+       } do
+    # One key picture for all: every jump has a long way to go.
+    file = clip(root, "mp4", ~w(-c:v libx264 -preset ultrafast -g 250 -bf 2 -pix_fmt yuv420p -an))
+    {items, :eof} = read(file, audio: false)
+    whole = items |> wanted(:video) |> Enum.map(&elem(&1, 1)) |> List.to_tuple()
+    assert tuple_size(whole) == 60
+    {:ok, recording} = Recording.open(file, [])
+    key = {Pictures, recording.path, recording.version, recording.print}
+
+    kept = fn ->
+      [{pid, _}] = Registry.lookup(Situ.Media.Recording.Registry, key)
+      :sys.get_state(pid).kept |> Map.keys() |> Enum.sort()
+    end
+
+    assert {:ok, [{40, image}]} = Pictures.read(recording, 40, 1)
+    assert image == elem(whole, 40)
+    assert kept.() == [40]
+    # Back by one: the 24 before it are wanted next.
+    assert {:ok, [{39, image}]} = Pictures.read(recording, 39, 1)
+    assert image == elem(whole, 39)
+    assert kept.() == Enum.to_list(15..40)
+
+    for i <- [59, 7, 58, 0, 31, 5, 6, 30, 29, 50] do
+      assert {:ok, [{^i, image}]} = Pictures.read(recording, i, 1)
+      assert image == elem(whole, i)
+    end
   end
 
   test "every container: Matroska's clock has milliseconds, MPEG leaves out times", %{

@@ -11,12 +11,17 @@ defmodule Situ.Media.Recording.Pictures do
   @kept_bytes 64 * 1_048_576
   # One answer holds no more than this, however many are asked for.
   @answer_bytes 16 * 1_048_576
-  # So far before the wanted picture decoding begins, to have what a backward step wants next.
+  # Whoever steps back by fewer pictures than this wants the ones before next: they are decoded together.
   @back 24
   # A replay and a person who looks elsewhere.
   @decoders 2
+  # What a decoder costs, about: its start, and for each pixel of a picture that it skips (decoded only) or hands over
+  # (converted to BGR and sent).
+  @start_ns 80_000_000
+  @skip_ns 1.5
+  @read_ns 6.0
 
-  defstruct [:recording, decoders: [], kept: %{}, order: :queue.new(), bytes: 0]
+  defstruct [:recording, :asked, decoders: [], kept: %{}, order: :queue.new(), bytes: 0]
 
   @doc """
   Up to `limit` pictures from `ordinal` on: `{:ok, [{ordinal, image}]}`, fewer when they are large, none at the end.
@@ -40,7 +45,7 @@ defmodule Situ.Media.Recording.Pictures do
         error -> {error, state}
       end
 
-    {:reply, result, state, @idle_ms}
+    {:reply, result, %{state | asked: ordinal}, @idle_ms}
   end
 
   @impl true
@@ -78,20 +83,28 @@ defmodule Situ.Media.Recording.Pictures do
     end
   end
 
-  # A decoder that is at or a little before the picture, or a new one.
+  # A decoder from which the picture is near, or a new one.
   defp decoder(%{recording: %{index: index}} = state, ordinal) do
     key = Index.key(index, ordinal)
+    at = Enum.filter(state.decoders, fn {next, _} -> next <= ordinal end)
+    nearest = Enum.max_by(at, &elem(&1, 0), fn -> nil end)
 
-    near =
-      Enum.filter(state.decoders, fn {next, _} ->
-        next <= ordinal and (next >= key or ordinal - next <= @back)
-      end)
-
-    case Enum.max_by(near, &elem(&1, 0), fn -> nil end) do
-      nil -> open(state, max(key, ordinal - @back))
-      found -> {:ok, found, List.delete(state.decoders, found)}
-    end
+    if nearest && near?(state.recording, ordinal - elem(nearest, 0), ordinal - key),
+      do: {:ok, nearest, List.delete(state.decoders, nearest)},
+      else: open(state, first_wanted(state, ordinal, key))
   end
+
+  # A decoder hands over each picture on the way; a new one only skips them, but begins at the key picture.
+  defp near?(%{info: %{video: video}}, ahead, from_key) do
+    pixels = video.width * video.height
+    ahead * pixels * (@skip_ns + @read_ns) <= @start_ns + from_key * pixels * @skip_ns
+  end
+
+  defp first_wanted(%{asked: asked}, ordinal, key)
+       when asked != nil and (asked - ordinal) in 1..@back,
+       do: max(key, ordinal - @back)
+
+  defp first_wanted(_state, ordinal, _key), do: ordinal
 
   defp open(%{recording: recording} = state, from) do
     {keep, close} = Enum.split(state.decoders, @decoders - 1)
