@@ -2,9 +2,9 @@ defmodule Situ.CLI.Serve do
   @moduledoc "`situ serve`: a recording for other machines."
   @behaviour Situ.CLI.Verb
 
-  alias Situ.CLI.{Option, Output, Verb}
+  alias Situ.CLI.{Option, Output, Secret, Verb}
   alias Situ.{Error, Remote}
-  alias Situ.Remote.{Access, Address, Server}
+  alias Situ.Remote.{Address, Server}
 
   @impl true
   def verbs do
@@ -16,7 +16,7 @@ defmodule Situ.CLI.Serve do
         Serves until it is stopped (Ctrl-C). A name without a version means all of its versions, those that will be
         recorded included; one that has none yet is waited for. Elsewhere a pipeline opens it by the address that is
         printed: Situ.Remote.open(p, ADDRESS, from: :resume). The studio and `situ store` open the same address as a
-        recording; the token they read from the file that SITU_TOKEN_FILE names. See the guide "Links between machines".
+        recording; the token they read from SITU_TOKEN, or from the file that SITU_TOKEN_FILE names. See the guide "Links between machines".
         """,
         arguments: [path: [kind: :recording, doc: "a recording, or the name of its versions"]],
         options: [
@@ -30,7 +30,7 @@ defmodule Situ.CLI.Serve do
             value: "ADDRESS",
             default: "127.0.0.1"
           ),
-          Option.new(:token_file, :path, "the file that holds the token (its first line)"),
+          Secret.option(),
           Option.new(:unix, :path, "listen on a Unix socket of this path, too"),
           Option.new(:tls, :flag, "speak TLS, by a certificate made for this machine"),
           Option.new(:certificate, :path, "speak TLS by this certificate (PEM)"),
@@ -56,7 +56,7 @@ defmodule Situ.CLI.Serve do
     Process.flag(:trap_exit, true)
 
     with {:ok, tls} <- tls(opts),
-         {:ok, token} <- token(opts[:token_file]),
+         {:ok, token} <- Secret.token(opts),
          {:ok, server} <- Remote.serve(path, settings(opts, tls, token)) do
       Output.puts("Situ serves #{path} at #{address(path, server, opts)}")
       wait(server)
@@ -85,11 +85,6 @@ defmodule Situ.CLI.Serve do
         {:error, Error.new(:usage, "--certificate and --key go together", fix: "name both files")}
     end
   end
-
-  # On a command line everybody on the machine could read it.
-  defp token(nil), do: {:ok, nil}
-
-  defp token(file), do: Access.first_line(file)
 
   defp address(path, server, opts) do
     name = path |> Path.basename() |> String.replace(~r/\.\d{4,}$/, "")

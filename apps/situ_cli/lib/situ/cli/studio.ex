@@ -2,7 +2,7 @@ defmodule Situ.CLI.Studio do
   @moduledoc "`situ studio`: recordings in the browser."
   @behaviour Situ.CLI.Verb
 
-  alias Situ.CLI.{Option, Output, Plugin, Verb}
+  alias Situ.CLI.{Option, Output, Plugin, Secret, Verb}
   alias Situ.{Error, Studio}
 
   @impl true
@@ -28,10 +28,13 @@ defmodule Situ.CLI.Studio do
             value: "ADDRESS",
             default: "127.0.0.1"
           ),
+          Secret.option(
+            "the file that holds the token (8 characters or more) in place of a random one; so does SITU_TOKEN"
+          ),
           Option.new(
             :token,
             :string,
-            "the token (8 characters or more) in place of a random one"
+            "the token itself, which every user of the machine can read"
           ),
           Option.new(:tls, :flag, "speak https, by a certificate made for this machine"),
           Option.new(:certificate, :path, "speak https by this certificate (PEM)"),
@@ -72,7 +75,8 @@ defmodule Situ.CLI.Studio do
     with :ok <- check_path(path),
          {:ok, ip} <- address(opts[:listen]),
          {:ok, tls} <- tls(opts),
-         {:ok, studio} <- start(path, ip, [tls: tls] ++ opts) do
+         {:ok, token} <- Secret.token(opts),
+         {:ok, studio} <- start(path, ip, [tls: tls, secret: token] ++ opts) do
       url = Studio.url(studio, Studio.only_item(studio))
       Output.puts("Situ Studio shows #{path} at #{url}")
       if opts[:open], do: Situ.CLI.Desktop.open(url)
@@ -129,7 +133,7 @@ defmodule Situ.CLI.Studio do
       [path: path, ip: ip, port: opts[:port], read_only: opts[:read_only], tls: opts[:tls]] ++
         [plugins: Plugin.load(opts[:plugins])] ++
         [tiles: opts[:tiles], tiles_credit: opts[:tiles_credit]] ++
-        if(opts[:token], do: [token: opts[:token]], else: []) ++
+        if(opts[:secret], do: [token: opts[:secret]], else: []) ++
         if(opts[:layouts], do: [layouts: opts[:layouts]], else: [])
     )
   end

@@ -6,6 +6,8 @@ defmodule Situ.Live.Endpoint do
 
   @cookie_age_s 30 * 86_400
 
+  # Failures of a server are logged with its arguments.
+  @derive {Inspect, except: [:secret, :token, :viewer]}
   @enforce_keys [:ref, :routes, :secret, :ip, :port, :scheme]
   defstruct [
     :ref,

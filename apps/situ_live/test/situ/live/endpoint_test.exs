@@ -74,4 +74,9 @@ defmodule Situ.Live.EndpointTest do
     assert role(config(token: "another-token"), request("", owner)) == 401
     assert role(config(token: nil, viewer: nil), request("")) == :owner
   end
+
+  test "what is logged of a server holds none of its secrets" do
+    shown = inspect(config(), limit: :infinity, printable_limit: :infinity)
+    for secret <- [@owner, @viewer, String.duplicate("s", 32)], do: refute(shown =~ secret)
+  end
 end

@@ -3,7 +3,7 @@ defmodule Situ.Remote.Access do
   How to get in where an address alone is given: on a command line, in the studio, in a dataset.
 
   In this order: what the caller says (`token:`, `tls:`), `config :situ_remote, tokens: %{"lab1" => "..."}` by the
-  address's host, and the first line of the file that the environment variable `SITU_TOKEN_FILE` names.
+  address's host, the environment variable `SITU_TOKEN`, and the first line of the file that `SITU_TOKEN_FILE` names.
 
       iex> {:ok, address} = Situ.Remote.Address.parse("situ://lab1/lobby")
       iex> Situ.Remote.Access.new(address, token: "secret")
@@ -32,11 +32,15 @@ defmodule Situ.Remote.Access do
   defp token(nil, address) do
     configured = Application.get_env(:situ_remote, :tokens, %{})
 
-    case {configured[address.host], System.get_env("SITU_TOKEN_FILE")} do
+    case {configured[address.host] || env("SITU_TOKEN"), env("SITU_TOKEN_FILE")} do
       {token, _} when is_binary(token) -> {:ok, token}
-      {_, file} when file in [nil, ""] -> {:ok, ""}
-      {_, file} -> first_line(file)
+      {nil, nil} -> {:ok, ""}
+      {nil, file} -> first_line(file)
     end
+  end
+
+  defp env(name) do
+    with "" <- System.get_env(name), do: nil
   end
 
   @doc "The token in a file: its first line."
