@@ -51,7 +51,12 @@ defmodule Situ.Bench do
   # Fields 14 (user) and 15 (system), counted after the command's closing parenthesis.
   defp ticks_us(stat) do
     fields = stat |> String.split(") ") |> List.last() |> String.split()
-    fields |> Enum.slice(11, 2) |> Enum.map(&String.to_integer/1) |> Enum.sum() |> Kernel.*(10_000)
+
+    fields
+    |> Enum.slice(11, 2)
+    |> Enum.map(&String.to_integer/1)
+    |> Enum.sum()
+    |> Kernel.*(10_000)
   end
 
   @doc "The VM's peak resident memory, MiB."
@@ -138,7 +143,10 @@ defmodule Situ.Bench do
          {:ok, scale} <- number(with_zero(scale || "1"), &Float.parse/1) do
       {reps, scale}
     else
-      _ -> usage("REPS must be a whole number above 0, and SCALE a number above 0, as in: chain 3 .5")
+      _ ->
+        usage(
+          "REPS must be a whole number above 0, and SCALE a number above 0, as in: chain 3 .5"
+        )
     end
   end
 
