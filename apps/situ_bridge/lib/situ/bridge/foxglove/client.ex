@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Foxglove.Client do
   @moduledoc false
   # One connection: the WebSocket around a session. A client that does not read blocks only this process, which closes
-  # the connection after half a minute.
+  # the connection after half a minute. So does one that begins a message and does not end it.
   use GenServer, restart: :temporary
   alias Situ.Bridge.Foxglove.{Session, Source}
   alias Situ.Bridge.Net.Outbox
@@ -10,13 +10,24 @@ defmodule Situ.Bridge.Foxglove.Client do
   @every 20
   @admission 5_000
   @most 1_000_000
+  @message_ms 30_000
 
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
   @impl true
   def init(args) do
     Process.send_after(self(), :too_slow, @admission)
-    {:ok, Map.merge(args, %{tcp: nil, said: "", begun: nil, session: nil})}
+
+    state = %{
+      tcp: nil,
+      said: "",
+      begun: nil,
+      session: nil,
+      deadline: nil,
+      message_ms: @message_ms
+    }
+
+    {:ok, Map.merge(state, args)}
   end
 
   @impl true
@@ -42,8 +53,11 @@ defmodule Situ.Bridge.Foxglove.Client do
 
   def handle_info({:tcp, _, bytes}, state) do
     case Frames.split(state.said <> bytes, state.begun, true, @most) do
-      {:ok, events, rest, begun} -> hear(events, %{state | said: rest, begun: begun})
-      {:error, why} -> {:stop, {:shutdown, why}, state}
+      {:ok, events, rest, begun} ->
+        hear(events, limit_message(%{state | said: rest, begun: begun}, events))
+
+      {:error, why} ->
+        {:stop, {:shutdown, why}, state}
     end
   end
 
@@ -51,6 +65,11 @@ defmodule Situ.Bridge.Foxglove.Client do
   def handle_info({:tcp_error, _, reason}, state), do: {:stop, {:shutdown, reason}, state}
   def handle_info(:too_slow, %{session: nil} = state), do: {:stop, {:shutdown, :too_slow}, state}
   def handle_info(:too_slow, state), do: {:noreply, state}
+
+  def handle_info({:timeout, deadline, :message}, %{deadline: deadline} = state),
+    do: {:stop, {:shutdown, :too_slow}, state}
+
+  def handle_info({:timeout, _, :message}, state), do: {:noreply, state}
 
   def handle_info(:tick, state) do
     {frames, session} = Session.tick(state.session, System.monotonic_time(:nanosecond))
@@ -60,6 +79,13 @@ defmodule Situ.Bridge.Foxglove.Client do
       {:noreply, state}
     end)
   end
+
+  # The time that a message may take runs from its first byte.
+  defp limit_message(%{said: "", begun: nil} = state, _events), do: %{state | deadline: nil}
+  defp limit_message(%{deadline: deadline} = state, []) when deadline != nil, do: state
+
+  defp limit_message(state, _events),
+    do: %{state | deadline: :erlang.start_timer(state.message_ms, self(), :message)}
 
   defp open(answer, protocol, state) do
     {frames, session} = Session.open(Source.new(state.store), state.name, protocol)
