@@ -3,13 +3,17 @@
 
 #![deny(missing_docs)]
 
+mod fields;
 mod lines;
+mod parts;
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
+pub use fields::{Kind, Unit};
 pub use lines::{lines, Values};
+pub use parts::{scan, values, Column, Layout, Part, Refusal, Start, Value, Why};
 
 use csv::{ByteRecord, Position, ReaderBuilder, Terminator};
 
@@ -44,6 +48,7 @@ pub type Result<T> = std::result::Result<T, Error>;
 
 /// A longer row is an error: most likely a quote is not closed.
 const MAX_ROW: u64 = 16 << 20;
+const BUFFER: usize = 64 << 10;
 
 /// A place in a file: byte and line.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,6 +91,68 @@ impl Seek for Bounded {
     }
 }
 
+/// A file that is read row by row. Empty lines are no rows.
+struct Rows {
+    reader: csv::Reader<Bounded>,
+    record: ByteRecord,
+    /// The file's length, and whether its last line has an end.
+    length: u64,
+    whole: bool,
+}
+
+impl Rows {
+    fn open(path: &Path, separator: u8, from: Place) -> Result<Rows> {
+        let file = File::open(path)?;
+        let (length, whole) = ending(&file)?;
+        let bounded = Bounded {
+            file,
+            left: MAX_ROW,
+        };
+        let mut reader = ReaderBuilder::new()
+            .delimiter(separator)
+            .has_headers(false)
+            .flexible(true)
+            .terminator(Terminator::Any(b'\n'))
+            .buffer_capacity(BUFFER)
+            .from_reader(bounded);
+        let mut start = Position::new();
+        start.set_byte(from.byte).set_line(from.line);
+        reader.seek(start).map_err(io::Error::from)?;
+        Ok(Rows {
+            reader,
+            record: ByteRecord::new(),
+            length,
+            whole,
+        })
+    }
+
+    fn place(&self) -> Place {
+        Place {
+            byte: self.reader.position().byte(),
+            line: self.reader.position().line(),
+        }
+    }
+
+    /// The line of the next row, and its fields.
+    fn next(&mut self) -> Result<Option<(u64, Vec<&str>)>> {
+        loop {
+            self.reader.get_mut().left = MAX_ROW;
+            let at = self.reader.position().line();
+            match self.reader.read_byte_record(&mut self.record) {
+                Ok(true) if self.record.len() > 1 || !blank(&self.record) => break,
+                Ok(true) => continue,
+                Ok(false) => return Ok(None),
+                Err(error) => return Err(refused(error, at)),
+            }
+        }
+        let end = self.reader.position();
+        let open = !self.whole && end.byte() >= self.length;
+        let behind = inside(&self.record) + u64::from(!open);
+        let line = end.line().saturating_sub(behind);
+        fields(&self.record, line).map(|fields| Some((line, fields)))
+    }
+}
+
 /// Up to `most` rows (or `bytes` bytes) from a place on, and the place behind them. Empty lines are no rows; no rows
 /// is the end.
 pub fn rows(
@@ -95,44 +162,16 @@ pub fn rows(
     most: usize,
     bytes: u64,
 ) -> Result<(Vec<Row>, Place)> {
-    let file = File::open(path)?;
-    let (length, whole) = ending(&file)?;
-    let mut reader = ReaderBuilder::new()
-        .delimiter(separator)
-        .has_headers(false)
-        .flexible(true)
-        .terminator(Terminator::Any(b'\n'))
-        .from_reader(Bounded {
-            file,
-            left: MAX_ROW,
-        });
-    let mut start = Position::new();
-    start.set_byte(from.byte).set_line(from.line);
-    reader.seek(start).map_err(io::Error::from)?;
+    let mut reader = Rows::open(path, separator, from)?;
     let mut rows = Vec::new();
-    let mut record = ByteRecord::new();
-    while rows.len() < most && reader.position().byte() - from.byte < bytes {
-        reader.get_mut().left = MAX_ROW;
-        let at = reader.position().line();
-        match reader.read_byte_record(&mut record) {
-            Ok(true) => {
-                let end = reader.position();
-                let open = !whole && end.byte() >= length;
-                let behind = inside(&record) + u64::from(!open);
-                let row = row(&record, end.line().saturating_sub(behind))?;
-                if row.fields.len() > 1 || row.fields.iter().any(|field| !field.trim().is_empty()) {
-                    rows.push(row);
-                }
-            }
-            Ok(false) => break,
-            Err(error) => return Err(refused(error, at)),
-        }
+    while rows.len() < most && reader.place().byte - from.byte < bytes {
+        let Some((line, fields)) = reader.next()? else {
+            break;
+        };
+        let fields = fields.into_iter().map(str::to_owned).collect();
+        rows.push(Row { line, fields });
     }
-    let place = Place {
-        byte: reader.position().byte(),
-        line: reader.position().line(),
-    };
-    Ok((rows, place))
+    Ok((rows, reader.place()))
 }
 
 /// The file's length, and whether its last line has an end.
@@ -153,17 +192,20 @@ fn inside(record: &ByteRecord) -> u64 {
     record.iter().map(breaks).sum()
 }
 
-fn row(record: &ByteRecord, line: u64) -> Result<Row> {
-    let fields = record.iter().map(|field| String::from_utf8(field.to_vec()));
-    let fields: std::result::Result<Vec<String>, _> = fields.collect();
+fn blank(record: &ByteRecord) -> bool {
+    let spaces = |field: &[u8]| std::str::from_utf8(field).is_ok_and(|text| text.trim().is_empty());
+    record.iter().all(spaces)
+}
+
+fn fields(record: &ByteRecord, line: u64) -> Result<Vec<&str>> {
+    let fields: std::result::Result<Vec<&str>, _> =
+        record.iter().map(std::str::from_utf8).collect();
     let mut fields = fields.map_err(|_| Error::Damaged(line, "it is not UTF-8 text"))?;
     // A line may end in CR LF.
     if let Some(last) = fields.last_mut() {
-        if last.ends_with('\r') {
-            last.pop();
-        }
+        *last = last.strip_suffix('\r').unwrap_or(last);
     }
-    Ok(Row { line, fields })
+    Ok(fields)
 }
 
 fn refused(error: csv::Error, line: u64) -> Error {

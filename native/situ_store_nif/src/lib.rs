@@ -59,6 +59,7 @@ mod atoms {
         others,
         integer,
         float,
+        string,
         boolean,
         changes,
         states,

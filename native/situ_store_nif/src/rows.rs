@@ -1,9 +1,11 @@
-//! Rows of CSV files.
+//! Rows and columns of CSV files.
 
 use std::path::Path;
 
-use rustler::{Encoder, Env, Term};
-use situ_csv::{rows, Error, Place};
+use rustler::{Atom, Encoder, Env, NifResult, Term};
+use situ_csv::{
+    rows, scan, values, Error, Kind, Layout, Part, Place, Refusal, Start, Unit, Value, Why,
+};
 
 use crate::atoms;
 
@@ -29,11 +31,148 @@ fn csv_rows<'a>(
             let rows: Vec<_> = rows.into_iter().map(|row| (row.line, row.fields)).collect();
             (atoms::ok(), rows, (place.byte, place.line)).encode(env)
         }
-        Err(Error::Io(number, why)) => {
-            (atoms::error(), (atoms::io(), "read", number, why)).encode(env)
-        }
-        Err(Error::Damaged(line, why)) => {
-            (atoms::error(), (atoms::damaged(), line, why)).encode(env)
-        }
+        Err(error) => failed(env, error),
     }
+}
+
+fn failed(env: Env, error: Error) -> Term {
+    match error {
+        Error::Io(number, why) => (atoms::error(), (atoms::io(), "read", number, why)).encode(env),
+        Error::Damaged(line, why) => (atoms::error(), (atoms::damaged(), line, why)).encode(env),
+    }
+}
+
+fn refused(env: Env, refusal: Refusal) -> Term {
+    match refusal {
+        Refusal::Unsure => atoms::slow().encode(env),
+        Refusal::Failed(error) => failed(env, error),
+    }
+}
+
+/// The separator; the number of fields and the column of times; what it counts (nanoseconds, or 0 for ISO 8601) and what
+/// is added to it; the most rows and bytes of a part.
+type GivenLayout = (u8, (usize, usize), (i64, i64), (usize, u64));
+
+fn layout((separator, (width, time), (unit, start), (rows, bytes)): GivenLayout) -> Layout {
+    let unit = match unit {
+        0 => Unit::Iso8601,
+        factor => Unit::Nanoseconds(factor),
+    };
+    Layout {
+        separator,
+        width,
+        time: (time, unit),
+        start,
+        rows,
+        bytes,
+    }
+}
+
+/// Where a part begins, and the last time before it.
+type GivenStart = ((u64, u64), Option<i64>);
+
+fn start(((byte, line), last): GivenStart) -> Start {
+    let place = Place { byte, line };
+    Start { place, last }
+}
+
+/// Up to `parts` parts: `{:ok, [{rows, [{kind, count, first, last}], [{line, why}], {byte, line}, last}]}`, or
+/// `:slow` where a time takes more to read.
+#[rustler::nif(schedule = "DirtyIo")]
+fn csv_scan<'a>(
+    env: Env<'a>,
+    path: String,
+    given: GivenLayout,
+    from: GivenStart,
+    parts: usize,
+) -> Term<'a> {
+    match scan(Path::new(&path), &layout(given), start(from), parts) {
+        Ok(parts) => {
+            let parts: Vec<_> = parts.into_iter().map(|part| told(env, part)).collect();
+            (atoms::ok(), parts).encode(env)
+        }
+        Err(refusal) => refused(env, refusal),
+    }
+}
+
+fn told<'a>(env: Env<'a>, part: Part) -> Term<'a> {
+    let columns: Vec<_> = part
+        .columns
+        .iter()
+        .map(|column| {
+            (
+                column.kind.map(name),
+                column.count,
+                column.first,
+                column.last,
+            )
+        })
+        .collect();
+    let damage: Vec<Term<'a>> = part
+        .damage
+        .into_iter()
+        .map(|why| reason(env, why))
+        .collect();
+    let place = part.next.place;
+    (
+        part.rows,
+        columns,
+        damage,
+        (place.byte, place.line),
+        part.next.last,
+    )
+        .encode(env)
+}
+
+fn reason<'a>(env: Env<'a>, (line, why): (u64, Why)) -> Term<'a> {
+    match why {
+        Why::Width(fields) => (line, fields).encode(env),
+        Why::Time(text) => (line, text).encode(env),
+        Why::Backward => (line, atoms::not_increasing()).encode(env),
+    }
+}
+
+fn name(kind: Kind) -> Atom {
+    match kind {
+        Kind::Integer => atoms::integer(),
+        Kind::Float => atoms::float(),
+        Kind::Text => atoms::string(),
+    }
+}
+
+/// The values of one column in a part, with their times: `{:ok, [{time, value}]}`, or `:slow`. Texts, and whole numbers of
+/// more than 64 bits, are binaries.
+#[rustler::nif(schedule = "DirtyIo")]
+fn csv_values<'a>(
+    env: Env<'a>,
+    path: String,
+    given: GivenLayout,
+    from: GivenStart,
+    column: (usize, Atom),
+) -> NifResult<Term<'a>> {
+    let (at, kind) = column;
+    let kind = match kind {
+        kind if kind == atoms::integer() => Kind::Integer,
+        kind if kind == atoms::float() => Kind::Float,
+        _ => Kind::Text,
+    };
+    let mut found = Vec::new();
+    let told = values(
+        Path::new(&path),
+        &layout(given),
+        start(from),
+        (at, kind),
+        |time, value| {
+            let value = match value {
+                Value::Integer(n) => n.encode(env),
+                Value::Float(x) => x.encode(env),
+                Value::Text(text) => text.encode(env),
+            };
+            found.push((time, value));
+        },
+    );
+    Ok(match told {
+        Ok(()) => (atoms::ok(), found).encode(env),
+        Err(refusal) => refused(env, refusal),
+    })
 }

@@ -21,7 +21,7 @@ defmodule Situ.Store.Csv do
   """
   @behaviour Situ.Store.Reader
   alias Situ.{Error, Message}
-  alias Situ.Store.Csv.{Field, Scan}
+  alias Situ.Store.Csv.Scan
   alias Situ.Store.StreamInfo
 
   defstruct [:path, :size, :scan, :streams, :parts]
@@ -139,33 +139,27 @@ defmodule Situ.Store.Csv do
 
   defp part(state, info, at) do
     part = elem(state.parts, at)
-    column = Map.fetch!(state.scan.columns, info.id - 1)
 
-    case Scan.rows(state.scan, part.place) do
-      {:ok, rows, _next} ->
-        {kept, _damage, _last} = Scan.keep(rows, part.last, state.scan)
-        {:ok, messages(kept, info, column.kind, part.counts[info.id - 1] || 0)}
+    case Scan.values(state.scan, part, info.id - 1) do
+      {:ok, values} ->
+        {:ok, messages(values, info.id, (part.counts[info.id - 1] || 0) + 1)}
 
       {:error, why} ->
         {:error, Error.new(:damaged, "#{state.path} has changed since it was opened", why: why)}
     end
   end
 
-  defp messages(kept, info, kind, base) do
-    fields =
-      for {time, row} <- kept,
-          text = String.trim(elem(row, info.id - 1)),
-          text != "",
-          do: {time, text}
+  defp messages([], _source, _sequence), do: []
 
-    for {{time, text}, at} <- Enum.with_index(fields, base) do
-      %Message{
-        data: Field.as(text, kind),
-        originating_time: time,
-        creation_time: time,
-        sequence_id: at + 1,
-        source_id: info.id
-      }
-    end
+  defp messages([{time, value} | values], source, sequence) do
+    message = %Message{
+      data: value,
+      originating_time: time,
+      creation_time: time,
+      sequence_id: sequence,
+      source_id: source
+    }
+
+    [message | messages(values, source, sequence + 1)]
   end
 end

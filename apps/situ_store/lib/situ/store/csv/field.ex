@@ -4,6 +4,10 @@ defmodule Situ.Store.Csv.Field do
 
   @units %{s: 1_000_000_000, ms: 1_000_000, us: 1_000, ns: 1}
 
+  @times -0x8000000000000000..0x7FFFFFFFFFFFFFFF
+  # More of them are no float, should the column be one.
+  @most_digits 300
+
   @type kind :: :integer | :float | :string
 
   @doc "A number where it looks like one, else the text."
@@ -26,7 +30,7 @@ defmodule Situ.Store.Csv.Field do
   @spec kind(String.t()) :: kind()
   def kind(text) do
     case value(text) do
-      n when is_integer(n) -> :integer
+      n when is_integer(n) and byte_size(text) <= @most_digits -> :integer
       x when is_float(x) -> :float
       _ -> :string
     end
@@ -48,6 +52,11 @@ defmodule Situ.Store.Csv.Field do
   def as(text, :integer), do: value(text)
   def as(text, :float), do: value(text) / 1
 
+  @doc "The nanoseconds of a unit; 0 of ISO 8601."
+  @spec nanoseconds(atom()) :: non_neg_integer()
+  def nanoseconds(:iso8601), do: 0
+  def nanoseconds(unit), do: @units[unit]
+
   @spec time(String.t(), atom()) :: {:ok, Situ.Time.t()} | String.t()
   def time(text, :iso8601) do
     case Situ.Time.parse(String.trim(text)) do
@@ -57,12 +66,18 @@ defmodule Situ.Store.Csv.Field do
   end
 
   def time(text, unit) do
-    case value(String.trim(text)) do
-      n when is_integer(n) -> {:ok, n * @units[unit]}
-      x when is_float(x) -> {:ok, round(x * @units[unit])}
-      _ -> "#{inspect(text)} is no time"
-    end
+    # Times have 64 bits, and nothing larger is multiplied.
+    time =
+      case value(String.trim(text)) do
+        n when is_integer(n) -> n * @units[unit]
+        x when is_float(x) and abs(x) < 1.0e19 -> round_time(x * @units[unit])
+        _ -> nil
+      end
+
+    if time in @times, do: {:ok, time}, else: "#{inspect(text)} is no time"
   end
+
+  defp round_time(x), do: if(abs(x) < 9.2e18, do: round(x))
 
   @doc "The unit of a time column: asked for, or told by the first field and the column's name."
   @spec unit(String.t(), String.t() | nil, atom()) :: {:ok, atom()} | {:error, String.t()}

@@ -7,6 +7,9 @@ defmodule Situ.Store.Csv.Scan do
   @rows 1_000
   @bytes 4 * 1024 * 1024
   @most_damage 10_000
+  @native -0x8000000000000000..0x7FFFFFFFFFFFFFFF
+  # Parts that are scanned at once.
+  @parts 32
 
   # columns: index => %{name, kind, count, first, last}; parts (latest first): %{place, last, counts}: where a part
   # begins, the last time kept before it, and how many messages of each column lie before it.
@@ -53,13 +56,13 @@ defmodule Situ.Store.Csv.Scan do
       {:ok, rows, next} ->
         {:ok, rows, next}
 
-      {:error, {:damaged, line, why}} ->
-        {:error, "line #{line}: #{why}"}
-
-      {:error, {:io, what, _, why}} ->
-        {:error, "could not #{what}: #{why}"}
+      error ->
+        told(error)
     end
   end
+
+  defp told({:error, {:damaged, line, why}}), do: {:error, "line #{line}: #{why}"}
+  defp told({:error, {:io, what, _, why}}), do: {:error, "could not #{what}: #{why}"}
 
   # The separator is guessed from the first line, which begins behind a byte order mark.
   defp first_line(path) do
@@ -123,22 +126,125 @@ defmodule Situ.Store.Csv.Scan do
     end
   end
 
+  # Native code tells what most files hold; where it cannot, the next part is gone through here.
   defp pass(scan, place, last) do
+    case native?(scan, last) && Native.csv_scan(scan.path, layout(scan), {place, last}, @parts) do
+      {:ok, parts} ->
+        {scan, place, last} = Enum.reduce(parts, {scan, place, last}, &put_part/2)
+        if length(parts) < @parts, do: {:ok, scan}, else: pass(scan, place, last)
+
+      slow when slow in [:slow, false] ->
+        pass_rows(scan, place, last)
+
+      error ->
+        told(error)
+    end
+  end
+
+  defp put_part({_rows, columns, damage, next, next_last}, {scan, place, last}) do
+    part = %{place: place, last: last, counts: counts(scan)}
+
+    columns =
+      columns
+      |> Enum.with_index()
+      |> Enum.reduce(scan.columns, fn {found, index}, columns ->
+        case columns do
+          %{^index => column} -> Map.put(columns, index, unify(column, found))
+          _ -> columns
+        end
+      end)
+
+    damage = for {line, why} <- damage, do: damage(scan, line, told_why(scan, why))
+
+    {put_damage(%{scan | parts: [part | scan.parts], columns: columns}, Enum.reverse(damage)),
+     next, next_last}
+  end
+
+  defp unify(column, {_kind, 0, _first, _last}), do: column
+
+  defp unify(column, {kind, count, first, last}) do
+    kind = Field.unify(column.kind, kind)
+    %{column | kind: kind, count: column.count + count, first: column.first || first, last: last}
+  end
+
+  defp told_why(scan, fields) when is_integer(fields),
+    do: "it has #{fields} fields, not #{scan.width}"
+
+  defp told_why(_scan, :not_increasing), do: "its time does not go forward"
+  defp told_why(scan, text) when is_binary(text), do: Field.time(text, scan.unit)
+
+  defp pass_rows(scan, place, last) do
     case rows(scan, place) do
       {:ok, [], _} ->
         {:ok, scan}
 
       {:ok, rows, next} ->
-        counts = Map.new(scan.columns, fn {index, column} -> {index, column.count} end)
-        part = %{place: place, last: last, counts: counts}
+        part = %{place: place, last: last, counts: counts(scan)}
         {kept, damage, last} = keep(rows, last, scan)
         columns = Enum.reduce(kept, scan.columns, &count/2)
-        damage = Enum.take(damage ++ scan.damage, -@most_damage)
-        scan = %{scan | parts: [part | scan.parts], columns: columns, damage: damage}
+        scan = put_damage(%{scan | parts: [part | scan.parts], columns: columns}, damage)
         pass(scan, next, last)
 
       {:error, why} ->
         {:error, why}
+    end
+  end
+
+  defp counts(scan), do: Map.new(scan.columns, fn {index, column} -> {index, column.count} end)
+
+  # The first ones are kept.
+  defp put_damage(scan, []), do: scan
+
+  defp put_damage(scan, damage),
+    do: %{scan | damage: Enum.take(damage ++ scan.damage, -@most_damage)}
+
+  defp damage(scan, line, why), do: {Path.basename(scan.path), line, "line #{line}: #{why}"}
+
+  # Native times have 64 bits.
+  defp native?(scan, last), do: (last || 0) in @native and scan.start in @native
+
+  defp layout(scan) do
+    unit = Field.nanoseconds(scan.unit)
+    {scan.separator, {scan.width, scan.time}, {unit, scan.start}, {@rows, @bytes}}
+  end
+
+  @doc """
+  The values of one column in the part that begins at `place`, after a row of the time `last`, with their times. Empty
+  fields have none.
+  """
+  @spec values(t(), map(), non_neg_integer()) ::
+          {:ok, [{Situ.Time.t(), number() | String.t()}]} | {:error, String.t()}
+  def values(scan, part, index) do
+    %{kind: kind} = Map.fetch!(scan.columns, index)
+    native? = native?(scan, part.last)
+
+    case native? &&
+           Native.csv_values(scan.path, layout(scan), {part.place, part.last}, {index, kind}) do
+      {:ok, values} -> {:ok, values |> as(kind)}
+      slow when slow in [:slow, false] -> values_of_rows(scan, part, index, kind)
+      error -> told(error)
+    end
+  end
+
+  # Numbers that are larger than native ones came as they are written.
+  defp as(values, :string), do: values
+
+  defp as(values, kind) do
+    for {time, value} <- values,
+        do: {time, if(is_binary(value), do: Field.as(value, kind), else: value)}
+  end
+
+  defp values_of_rows(scan, part, index, kind) do
+    with {:ok, rows, _next} <- rows(scan, part.place) do
+      {kept, _damage, _last} = keep(rows, part.last, scan)
+
+      {:ok,
+       for(
+         {time, row} <- kept,
+         text = String.trim(elem(row, index)),
+         text != "",
+         do: {time, Field.as(text, kind)}
+       )}
     end
   end
 
@@ -177,7 +283,7 @@ defmodule Situ.Store.Csv.Scan do
              true <- last == nil or time > last || "its time does not go forward" do
           {[{time, fields} | kept], damage, time}
         else
-          why -> {kept, [{Path.basename(scan.path), line, "line #{line}: #{why}"} | damage], last}
+          why -> {kept, [damage(scan, line, why) | damage], last}
         end
       end)
 

@@ -1,6 +1,7 @@
 defmodule Situ.Store.Csv.ScanTest do
   use ExUnit.Case, async: true
-  alias Situ.Store.Csv.Scan
+  use Situ.Test.Property
+  alias Situ.Store.Csv.{Field, Scan}
 
   @moduletag :tmp_dir
 
@@ -43,5 +44,91 @@ defmodule Situ.Store.Csv.ScanTest do
     assert {second.last, second.counts} == {1_000_000_000_000, %{1 => 1_000}}
     assert {:ok, [{_, ["2001", "0"]} | rest], _} = Scan.rows(scan, third.place)
     assert length(rest) == 499
+  end
+
+  property "native code reads what the plain one does" do
+    root = Path.join(System.tmp_dir!(), "situ-csv-#{System.unique_integer([:positive])}")
+    File.mkdir_p!(root)
+    on_exit(fn -> File.rm_rf!(root) end)
+
+    fields =
+      [
+        "",
+        " ",
+        "1",
+        "-2",
+        "+3",
+        "007",
+        "1.5",
+        "2e3",
+        ".5",
+        "5.",
+        "1e400",
+        "nan",
+        "x",
+        "ä",
+        ~s("q,""1""\nz")
+      ] ++
+        ["12345678901234567890", "1_000", " 4 ", "-0.0", "1e-400"]
+
+    times = %{
+      s: ["", "x", "-5", "0.25", "1e3", "99999999999", "1e300"],
+      iso8601:
+        [
+          "",
+          "2020-01-31",
+          "2021-02-29T00:00:00Z",
+          "2020-01-31 12:34:56",
+          "2020-01-31T12:34:56.5+02:00"
+        ] ++
+          [
+            "2020-01-31T12:34:57.1234567891Z",
+            "2020-01-31T24:00:00Z",
+            "9999-01-01T00:00:00Z",
+            "1969-12-31T23:59:59Z"
+          ]
+    }
+
+    forall {unit, rows} <-
+             {one_of([:s, :iso8601]),
+              list(
+                {integer(0, 40), one_of([:time, :odd]), one_of(fields), one_of(fields),
+                 integer(0, 9)}
+              )} do
+      lines =
+        for {n, which, a, b, dice} <- rows do
+          time = if which == :time or dice > 2, do: time(unit, n), else: Enum.random(times[unit])
+          if dice == 0, do: "#{time},#{a}", else: "#{time},#{a},#{b}"
+        end
+
+      heading = "t,a,b\n#{time(unit, 0)},1,2\n"
+      {:ok, scan} = scan(root, heading <> Enum.join(lines, "\r\n"), unit: unit)
+      assert_plain(scan)
+    end
+  end
+
+  defp time(:s, n), do: "#{n}"
+  defp time(:iso8601, n), do: "2020-01-31T12:34:#{String.pad_leading("#{n}", 2, "0")}Z"
+
+  # The same by rows and fields, one after the other.
+  defp assert_plain(scan) do
+    for part <- scan.parts, {index, column} <- scan.columns do
+      {:ok, rows, _} = Scan.rows(scan, part.place)
+      {kept, damage, _} = Scan.keep(rows, part.last, scan)
+
+      texts =
+        for {time, row} <- kept,
+            text = String.trim(elem(row, index)),
+            text != "",
+            do: {time, text}
+
+      kind =
+        Enum.reduce(texts, nil, fn {_, text}, kind -> Field.unify(kind, Field.kind(text)) end)
+
+      assert {kind, length(texts)} == {column.kind, column.count}
+      assert damage == scan.damage
+      values = for {time, text} <- texts, do: {time, Field.as(text, kind)}
+      assert Scan.values(scan, part, index) == {:ok, values}
+    end
   end
 end

@@ -1,0 +1,273 @@
+//! Fields of a CSV file as values and as times.
+
+use std::num::FpCategory;
+
+const MOST_DIGITS: usize = 300;
+
+/// What a field looks like, or all fields of a column do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// Digits, perhaps with a sign.
+    Integer,
+    /// A decimal number, perhaps with an exponent.
+    Float,
+    /// Anything else.
+    Text,
+}
+
+impl Kind {
+    /// The kind of a field, without the spaces around it.
+    pub fn of(text: &str) -> Kind {
+        match shape(text.as_bytes()) {
+            Some(Kind::Float) if !finite(text) => Kind::Text,
+            // More digits are no float, should the column be one.
+            Some(Kind::Integer) if text.len() > MOST_DIGITS => Kind::Text,
+            Some(kind) => kind,
+            None => Kind::Text,
+        }
+    }
+
+    /// The kind of a column whose fields so far are of the one and the next is of the other.
+    pub fn unify(self, other: Kind) -> Kind {
+        match (self, other) {
+            (a, b) if a == b => a,
+            (Kind::Text, _) | (_, Kind::Text) => Kind::Text,
+            _ => Kind::Float,
+        }
+    }
+}
+
+fn finite(text: &str) -> bool {
+    text.parse::<f64>().is_ok_and(f64::is_finite)
+}
+
+fn digits(bytes: &[u8]) -> usize {
+    bytes
+        .iter()
+        .take_while(|byte| byte.is_ascii_digit())
+        .count()
+}
+
+fn unsigned(bytes: &[u8]) -> &[u8] {
+    match bytes {
+        [b'+' | b'-', rest @ ..] => rest,
+        _ => bytes,
+    }
+}
+
+/// Digits on both sides of a point, and of an exponent.
+fn shape(bytes: &[u8]) -> Option<Kind> {
+    let bytes = unsigned(bytes);
+    let whole = digits(bytes);
+    let mut rest = &bytes[whole..];
+    if whole == 0 {
+        return None;
+    }
+    if rest.is_empty() {
+        return Some(Kind::Integer);
+    }
+    if let [b'.', fraction @ ..] = rest {
+        let n = digits(fraction);
+        if n == 0 {
+            return None;
+        }
+        rest = &fraction[n..];
+    }
+    if let [b'e' | b'E', exponent @ ..] = rest {
+        let exponent = unsigned(exponent);
+        let n = digits(exponent);
+        if n == 0 {
+            return None;
+        }
+        rest = &exponent[n..];
+    }
+    rest.is_empty().then_some(Kind::Float)
+}
+
+/// What the numbers of a time column count.
+#[derive(Debug, Clone, Copy)]
+pub enum Unit {
+    /// So many nanoseconds.
+    Nanoseconds(i64),
+    /// Dates and times as ISO 8601 writes them.
+    Iso8601,
+}
+
+/// A time, or what keeps it from being one here.
+#[derive(Debug, PartialEq)]
+pub enum Time {
+    /// Nanoseconds.
+    At(i64),
+    /// The field is no number, or one beyond 64 bits.
+    None,
+    /// Whether it is one takes more than this code: an unusual way to write a date.
+    Unsure,
+}
+
+impl Unit {
+    /// The time in a field.
+    pub fn time(self, text: &str) -> Time {
+        let text = text.trim();
+        match self {
+            Unit::Iso8601 => iso8601(text.as_bytes()).map_or(Time::Unsure, Time::At),
+            Unit::Nanoseconds(factor) => match Kind::of(text) {
+                Kind::Integer => text
+                    .parse::<i64>()
+                    .ok()
+                    .and_then(|n| n.checked_mul(factor))
+                    .map_or(Time::None, Time::At),
+                Kind::Float => text
+                    .parse::<f64>()
+                    .map_or(Time::None, |x| scaled(x, factor)),
+                Kind::Text => Time::None,
+            },
+        }
+    }
+}
+
+/// Halves are rounded away from zero.
+fn scaled(x: f64, factor: i64) -> Time {
+    let time = (x * factor as f64).round();
+    match time.classify() {
+        FpCategory::Nan | FpCategory::Infinite => Time::None,
+        _ if time.abs() >= 9.2e18 => Time::None,
+        _ => Time::At(time as i64),
+    }
+}
+
+fn number(bytes: &[u8]) -> Option<i64> {
+    (digits(bytes) == bytes.len()).then(|| {
+        bytes
+            .iter()
+            .fold(0, |n, byte| n * 10 + i64::from(byte - b'0'))
+    })
+}
+
+/// `2020-01-31T12:34:56.123456789+01:00`, a space for the T, without a fraction or a zone too.
+fn iso8601(bytes: &[u8]) -> Option<i64> {
+    let (head, rest) = bytes.split_at_checked(19)?;
+    let marks = [(4, b'-'), (7, b'-'), (13, b':'), (16, b':')];
+    if marks.iter().any(|(at, mark)| head[*at] != *mark) || !matches!(head[10], b'T' | b' ') {
+        return None;
+    }
+    let (year, month, day) = (
+        number(&head[..4])?,
+        number(&head[5..7])?,
+        number(&head[8..10])?,
+    );
+    let (hour, minute, second) = (
+        number(&head[11..13])?,
+        number(&head[14..16])?,
+        number(&head[17..19])?,
+    );
+    if !(1..=12).contains(&month) || !(1..=month_days(year, month)).contains(&day) {
+        return None;
+    }
+    if hour > 23 || minute > 59 || second > 59 {
+        return None;
+    }
+    let (fraction, zone) = match rest {
+        [b'.', rest @ ..] => rest.split_at(digits(rest)),
+        _ => (&[][..], rest),
+    };
+    if rest.first() == Some(&b'.') && fraction.is_empty() {
+        return None;
+    }
+    let seconds =
+        days(year, month, day) * 86_400 + hour * 3_600 + minute * 60 + second - offset(zone)?;
+    let nanoseconds = (0..9).fold(0, |n, at| {
+        n * 10 + fraction.get(at).map_or(0, |b| i64::from(b - b'0'))
+    });
+    seconds.checked_mul(1_000_000_000)?.checked_add(nanoseconds)
+}
+
+fn month_days(year: i64, month: i64) -> i64 {
+    match month {
+        2 if year % 4 == 0 && (year % 100 != 0 || year % 400 == 0) => 29,
+        2 => 28,
+        4 | 6 | 9 | 11 => 30,
+        _ => 31,
+    }
+}
+
+/// Seconds that a zone is ahead of UTC.
+fn offset(zone: &[u8]) -> Option<i64> {
+    let (sign, hours, minutes) = match zone {
+        [] | [b'Z'] => return Some(0),
+        [sign, a, b, b':', c, d] | [sign, a, b, c, d] => (sign, [*a, *b], [*c, *d]),
+        _ => return None,
+    };
+    let (hours, minutes) = (number(&hours)?, number(&minutes)?);
+    if hours > 13 || minutes > 59 {
+        return None;
+    }
+    match sign {
+        b'+' => Some(hours * 3_600 + minutes * 60),
+        // ISO 8601 has no -00:00.
+        b'-' if hours + minutes > 0 => Some(-(hours * 3_600 + minutes * 60)),
+        _ => None,
+    }
+}
+
+/// Days since 1970 (proleptic Gregorian calendar), by years that begin in March.
+fn days(year: i64, month: i64, day: i64) -> i64 {
+    let year = year - i64::from(month <= 2);
+    let era = year.div_euclid(400);
+    let of_era = year.rem_euclid(400);
+    let of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;
+    era * 146_097 + of_era * 365 + of_era / 4 - of_era / 100 + of_year - 719_468
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kinds_are_those_of_elixirs_parsers() {
+        for text in ["0", "+5", "-007", "123456789012345678901234567890"] {
+            assert_eq!(Kind::of(text), Kind::Integer, "{text}");
+        }
+        for text in ["0.5", "-1.5e10", "+1E-5", "2e3", "1e-400"] {
+            assert_eq!(Kind::of(text), Kind::Float, "{text}");
+        }
+        for text in [
+            "", ".5", "5.", "1e", "1e+", "--1", "1_000", "1e400", "nan", "inf", "0x1", "1.5.2", "٣",
+        ] {
+            assert_eq!(Kind::of(text), Kind::Text, "{text}");
+        }
+    }
+
+    #[test]
+    fn times_by_their_unit() {
+        let (s, iso) = (Unit::Nanoseconds(1_000_000_000), Unit::Iso8601);
+        assert_eq!(s.time(" 5 "), Time::At(5_000_000_000));
+        assert_eq!(s.time("-0.25"), Time::At(-250_000_000));
+        assert_eq!(s.time("x"), Time::None);
+        assert_eq!(s.time("99999999999"), Time::None);
+        assert_eq!(s.time("1e300"), Time::None);
+        assert_eq!(iso.time("1970-01-01T00:00:01.5Z"), Time::At(1_500_000_000));
+        assert_eq!(
+            iso.time("2000-02-29 12:34:56"),
+            Time::At(951_827_696_000_000_000)
+        );
+        assert_eq!(
+            iso.time("1969-12-31T23:59:59.1234567890Z"),
+            Time::At(-876_543_211)
+        );
+        assert_eq!(
+            iso.time("2020-01-31T12:34:56+0130"),
+            iso.time("2020-01-31T11:04:56Z")
+        );
+        for text in [
+            "",
+            "2020",
+            "2021-02-29T00:00:00Z",
+            "2020-01-31T24:00:00Z",
+            "2020-01-31T12:34:56.Z",
+            "2020-01-31T12:34:56-00:00",
+            "9999-01-01T00:00:00Z",
+        ] {
+            assert_eq!(iso.time(text), Time::Unsure, "{text}");
+        }
+    }
+}
