@@ -11,18 +11,18 @@ defmodule Situ.Application.Reload do
   @spec start_link(term()) :: GenServer.on_start()
   def start_link(_), do: GenServer.start_link(__MODULE__, [], name: __MODULE__)
 
-  @doc "The calling process wants to know of new versions of `module`."
-  @spec watch(module()) :: :ok
-  def watch(module), do: GenServer.cast(__MODULE__, {:watch, module, self()})
+  @doc "The calling process wants to know of versions of `module` other than `seen`, which it was built with."
+  @spec watch(module(), binary() | nil) :: :ok
+  def watch(module, seen), do: GenServer.cast(__MODULE__, {:watch, module, seen, self()})
 
   @impl true
   def init(_), do: {:ok, %{}}
 
   @impl true
-  def handle_cast({:watch, module, pid}, watched) do
+  def handle_cast({:watch, module, seen, pid}, watched) do
     Process.monitor(pid)
     if watched == %{}, do: later()
-    {:noreply, Map.put(watched, pid, {module, version(module)})}
+    {:noreply, Map.put(watched, pid, {module, seen})}
   end
 
   @impl true
@@ -47,8 +47,9 @@ defmodule Situ.Application.Reload do
     end
   end
 
-  # Asked of the loaded code; a module that is being loaded has none for a moment.
-  defp version(module) do
+  @doc "The version of the loaded code; a module that is being loaded has none for a moment."
+  @spec version(module()) :: binary() | nil
+  def version(module) do
     if :erlang.module_loaded(module), do: module.module_info(:md5)
   rescue
     UndefinedFunctionError -> nil

@@ -74,6 +74,7 @@ defmodule Situ.Pipeline.Launcher do
     state = State.new(settings)
     handle = Builder.open(state.graph)
     diagnose(handle, settings)
+    version = version(settings.origin)
 
     case with(:ok <- Directory.enter(settings), do: build(spec, handle, opts)) do
       {:ok, result} ->
@@ -81,7 +82,7 @@ defmodule Situ.Pipeline.Launcher do
         state = watch(%{state | handle: handle, graph: graph, result: result}, caller)
         # With its caller gone meanwhile there is nobody to run for.
         unless Process.alive?(caller), do: exit(:normal)
-        with {module, _opts} <- settings.origin, do: Reload.watch(module)
+        with {module, _opts} <- settings.origin, do: Reload.watch(module, version)
         send(self(), :situ_launch)
         :proc_lib.init_ack({:ok, self()})
         :gen_server.enter_loop(Server, [], state)
@@ -109,6 +110,10 @@ defmodule Situ.Pipeline.Launcher do
       {:error, error} -> :proc_lib.init_ack({:error, error})
     end
   end
+
+  # Before it builds: a version that is loaded meanwhile is a new one.
+  defp version({module, _opts}), do: Code.ensure_loaded?(module) && Reload.version(module)
+  defp version(nil), do: nil
 
   defp diagnose(_handle, %{diagnostics: false}), do: :ok
   defp diagnose(handle, %{diagnostics: true}), do: Situ.Diagnostics.stream(handle)

@@ -237,13 +237,20 @@ defmodule Situ.Pipeline.Server do
     apply_event(state, {:watched, which, seen})
   end
 
-  # The module that built it has a new version: it is built again, elsewhere, for its functions.
+  # The module that built it has a new version: it is built again, elsewhere, for its functions. Before it is planned
+  # there is no stage that could take them.
+  defp event(:situ_reloaded, %{life: %{step: step}} = state) when step in [:build, :handlers] do
+    Process.send_after(self(), :situ_reloaded, 50)
+    {:noreply, state}
+  end
+
   defp event(:situ_reloaded, %{settings: %{origin: {_, _} = origin}} = state) do
     Handlers.rebuild(origin, state.handle)
     {:noreply, state}
   end
 
-  defp event({:situ_rebuilt, graph}, %{life: %{phase: :running}} = state) do
+  defp event({:situ_rebuilt, graph}, %{life: %{phase: phase}} = state)
+       when phase in [:starting, :running] do
     state = %{state | graph: Handlers.reload(state.graph, graph)}
     {:noreply, state |> Dynamic.Guarantee.reload(graph) |> Dynamic.Replacement.reload(graph)}
   end

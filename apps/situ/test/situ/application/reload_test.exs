@@ -2,6 +2,8 @@ defmodule Situ.Application.ReloadTest do
   # A developer compiles the module of a running pipeline again, and again.
   use ExUnit.Case, async: false
 
+  import Situ.Test.Eventually
+
   alias Situ.Pipeline
 
   @moduletag :capture_log
@@ -15,6 +17,7 @@ defmodule Situ.Application.ReloadTest do
       def build(p, opts) do
         Situ.Pipeline.on(p, :error, fn _ -> #{version} end)
         keep? = fn {v, _} -> v < 1_000 * #{version} end
+        if opts[:held], do: Situ.source(p, Situ.Fixture.Held, to: opts[:to])
 
         p
         |> Situ.timer(every: Situ.Time.ms(1))
@@ -26,6 +29,7 @@ defmodule Situ.Application.ReloadTest do
         |> Situ.map(fn n -> {#{version}, n} end, name: "Map")
         |> Situ.map(fn seen -> seen end, policy: Situ.Delivery.max_queue(5, guarantee: keep?))
         |> Situ.each(fn seen -> send(opts[:to], {:seen, seen}) end, async: true)
+        |> then(fn stream -> if(opts[:built] && #{version} == 1, do: opts[:built].(), else: stream) end)
       end
     end
     """)
@@ -57,12 +61,47 @@ defmodule Situ.Application.ReloadTest do
     assert {:ok, %{errors: []}} = Pipeline.stop(p)
   end
 
+  test "also while it starts" do
+    compile(1)
+    {:ok, p} = Pipeline.start(Situ.Fixture.Lobby, to: self(), held: true)
+    assert_receive {:held, held}
+
+    for version <- 2..5 do
+      compile(version)
+      assert eventually(fn -> current?(:sys.get_state(p)) end)
+    end
+
+    assert Pipeline.state(p) == :starting
+    send(held, :go)
+    assert seen(5) > 0
+    assert {:ok, %{errors: []}} = Pipeline.stop(p)
+  end
+
+  test "a version that is loaded while it is built" do
+    compile(1)
+    me = self()
+
+    {:ok, p} = Pipeline.start(Situ.Fixture.Lobby, to: me, built: fn -> compile(2) end)
+
+    assert seen(2) >= 0
+    compile(3)
+    assert seen(3) > 0
+    assert {:ok, %{errors: []}} = Pipeline.stop(p)
+  end
+
+  # The functions that a restart would begin with are those of the loaded module.
+  defp current?(%{graph: graph}) do
+    {:map, fun} = graph.vertices[graph.paths["Map"]].opts
+    {:new_uniq, version} = Function.info(fun, :new_uniq)
+    version == Situ.Fixture.Lobby.module_info(:md5)
+  end
+
   defp seen(version) do
     receive do
       {:seen, {^version, n}} -> n
       {:seen, _} -> seen(version)
     after
-      5_000 -> flunk("version #{version} was not taken up")
+      30_000 -> flunk("version #{version} was not taken up")
     end
   end
 
