@@ -87,6 +87,7 @@ defmodule Situ do
   function in one table), *Choosing a delivery policy*, *When things fail*, *Situ in your application*. `Situ.Test`
   tests pipelines with a clock that you move by hand.
   """
+  alias Situ.Argument
   import Kernel, except: [min: 2, max: 2, abs: 1, tap: 2, inspect: 1, inspect: 2]
   alias Situ.{Node, Operator, Pipeline, Stream}
 
@@ -96,8 +97,13 @@ defmodule Situ do
   `opts` are the component's own options and those of `Situ.Graph.Placement` (`name:`, `on_error:` ...).
   """
   @spec source(Pipeline.t(), module(), keyword()) :: Stream.t() | %{atom() => Stream.t()}
-  def source(%Situ.Graph.Handle{} = p, module, opts \\ []),
+  def source(p, module, opts \\ [])
+
+  def source(%Situ.Graph.Handle{} = p, module, opts),
     do: p |> Pipeline.add(module, opts) |> Node.streams()
+
+  def source(other, module, _opts),
+    do: Argument.refuse!(other, :handle, "Situ.source(p, #{Kernel.inspect(module)})")
 
   @doc """
   Sends a stream (or `[input: stream, ...]`) through a component; returns as `source/3` does.
@@ -120,6 +126,9 @@ defmodule Situ do
     Node.streams(node)
   end
 
+  def via(other, module, _opts),
+    do: Argument.refuse!(other, :stream, "Situ.via(stream, #{Kernel.inspect(module)})")
+
   @doc """
   Groups components under one name; given a stream, the function gets the stream inside the group. Options: `policy:`
   and `on_error:`, see `Situ.Pipeline.composite/4`.
@@ -134,10 +143,16 @@ defmodule Situ do
   def composite(%Stream{} = stream, name, fun, opts),
     do: Pipeline.composite(stream.pipeline, name, fn p -> fun.(%{stream | pipeline: p}) end, opts)
 
+  def composite(other, _name, _fun, _opts) do
+    takes = "a stream, or a pipeline that is being built"
+    Argument.refuse!(other, takes, ~s|Situ.composite(stream, "Mouth", fn stream -> stream end)|)
+  end
+
   @doc "The data through `fun` (of data, or of data and message). Options: `Situ.Graph.Placement`."
   @spec map(Stream.t(), (term() -> term()) | (term(), Situ.Message.t() -> term()), keyword()) ::
           Stream.t()
-  def map(stream, fun, opts \\ []), do: Operator.attach(stream, "Map", {:map, fun}, opts)
+  def map(stream, fun, opts \\ []),
+    do: stream |> stream!("map") |> Operator.attach("Map", {:map, fun}, opts)
 
   @doc "See `Situ.MapAsync.map_async/3`."
   @spec map_async(Stream.t(), (term() -> term()), keyword()) :: Stream.t()
@@ -150,14 +165,21 @@ defmodule Situ do
           keyword()
         ) ::
           Stream.t()
-  def filter(stream, fun, opts \\ []),
-    do: Operator.attach(stream, "Filter", {:filter, fun}, opts, stream.type)
+  def filter(stream, fun, opts \\ []) do
+    stream = stream!(stream, "filter")
+    Operator.attach(stream, "Filter", {:filter, fun}, opts, stream.type)
+  end
 
   @doc "Calls `fun` (of data, or of data and message) for its effect and passes the message on."
   @spec each(Stream.t(), (term() -> any()) | (term(), Situ.Message.t() -> any()), keyword()) ::
           Stream.t()
-  def each(stream, fun, opts \\ []),
-    do: Operator.attach(stream, "Each", {:each, fun}, opts, stream.type)
+  def each(stream, fun, opts \\ []) do
+    stream = stream!(stream, "each")
+    Operator.attach(stream, "Each", {:each, fun}, opts, stream.type)
+  end
+
+  defp stream!(stream, name),
+    do: Argument.stream!(stream, "Situ.#{name}(stream, fn data -> data end)")
 
   @doc """
   Folds: emits the accumulator after every input; `fun.(data, acc)` or `fun.(data, message, acc)`.
@@ -174,7 +196,7 @@ defmodule Situ do
         when acc: term()
   def scan(stream, acc, fun, opts \\ [])
 
-  def scan(stream, acc, fun, opts) when is_function(fun, 2) do
+  def scan(%Stream{} = stream, acc, fun, opts) when is_function(fun, 2) do
     step = fn data, _message, acc ->
       acc = fun.(data, acc)
       {:emit, acc, acc}
@@ -183,7 +205,7 @@ defmodule Situ do
     Operator.attach(stream, "Scan", {:step, step, acc}, opts)
   end
 
-  def scan(stream, acc, fun, opts) when is_function(fun, 3) do
+  def scan(%Stream{} = stream, acc, fun, opts) when is_function(fun, 3) do
     step = fn data, message, acc ->
       acc = fun.(data, message, acc)
       {:emit, acc, acc}
@@ -191,6 +213,9 @@ defmodule Situ do
 
     Operator.attach(stream, "Scan", {:step, step, acc}, opts)
   end
+
+  def scan(other, _acc, _fun, _opts),
+    do: Argument.refuse!(other, :stream, "Situ.scan(stream, 0, fn data, acc -> data + acc end)")
 
   @doc "The pipelines of this node: label, process and state of each; see `Situ.Pipeline.list/0`."
   @spec pipelines() :: [%{name: String.t(), pid: pid(), state: atom()}]

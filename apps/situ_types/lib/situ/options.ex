@@ -151,9 +151,19 @@ defmodule Situ.Options do
       {:ok, value}
     else
       what = "option #{inspect(key)} must be #{describe(type)}, got: #{inspect(value, limit: 8)}"
-      {:error, Error.new(:bad_option, what)}
+      {:error, Error.new(:bad_option, what, fix: suggestion(type, value))}
     end
   end
+
+  # A struct's module may know what was meant, as `:latest` means `Situ.Delivery.latest()`.
+  defp suggestion({:optional, type}, value), do: suggestion(type, value)
+  defp suggestion({:or, types}, value), do: Enum.find_value(types, &suggestion(&1, value))
+  defp suggestion({:list, type}, [value | _]), do: suggestion(type, value)
+
+  defp suggestion({:struct, module}, value),
+    do: if(function_exported?(module, :suggest, 1), do: module.suggest(value))
+
+  defp suggestion(_type, _value), do: nil
 
   @doc """
   Whether `value` is of option type `type`.

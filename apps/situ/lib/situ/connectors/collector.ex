@@ -15,6 +15,7 @@ defmodule Situ.Collector do
       [1, 3, 9, 27]
   """
 
+  alias Situ.Argument
   alias Situ.{Message, Pipeline, Stream}
 
   defmodule Sink do
@@ -98,7 +99,9 @@ defmodule Situ.Collector do
   """
   @spec collect((Pipeline.t() -> streams()), keyword()) ::
           {:ok, term()} | {:error, Situ.Error.t()}
-  def collect(build, opts \\ []) when is_function(build, 1) do
+  def collect(build, opts \\ [])
+
+  def collect(build, opts) when is_function(build, 1) do
     ref = make_ref()
     me = self()
 
@@ -113,11 +116,21 @@ defmodule Situ.Collector do
     with {:ok, report} <- result, do: {:ok, fill(report.result, messages)}
   end
 
+  def collect(other, _arg2),
+    do:
+      Argument.refuse!(
+        other,
+        :build,
+        "Situ.collect(fn p -> Situ.from_enumerable(p, 1..9, every: 1) end)"
+      )
+
   @doc """
   As `collect/2`, but only the data, and an error is raised. With `times: true` pairs of originating time and data.
   """
   @spec to_list((Pipeline.t() -> streams()), keyword()) :: term()
-  def to_list(build, opts \\ []) do
+  def to_list(build, opts \\ [])
+
+  def to_list(build, opts) when is_function(build, 1) do
     {times?, opts} = Keyword.pop(opts, :times, false)
 
     case collect(build, opts) do
@@ -126,15 +139,33 @@ defmodule Situ.Collector do
     end
   end
 
+  def to_list(other, _arg2),
+    do:
+      Argument.refuse!(
+        other,
+        :build,
+        "Situ.to_list(fn p -> Situ.from_enumerable(p, 1..9, every: 1) end)"
+      )
+
   @doc """
   The data of the stream that `build` returns as an Elixir `Stream`: a pipeline of its own runs while it is read, as
   far ahead as its back-pressure lets it, and is ended when reading ends. With `messages: true` whole messages.
   """
   @spec to_stream((Pipeline.t() -> Stream.t()), keyword()) :: Enumerable.t()
-  def to_stream(build, opts \\ []) when is_function(build, 1) do
+  def to_stream(build, opts \\ [])
+
+  def to_stream(build, opts) when is_function(build, 1) do
     {messages?, opts} = Keyword.pop(opts, :messages, false)
     Elixir.Stream.resource(fn -> open(build, opts) end, &read(&1, messages?), &shut/1)
   end
+
+  def to_stream(other, _arg2),
+    do:
+      Argument.refuse!(
+        other,
+        :build,
+        "Situ.to_stream(fn p -> Situ.from_enumerable(p, 1..9, every: 1) end)"
+      )
 
   @doc false
   @spec sink(Stream.t(), pid(), term()) :: :ok

@@ -25,6 +25,7 @@ defmodule Situ.Connector do
   `as: :data` (default) posts the data as a new message at the same originating time, `as: :message` posts the whole
   `Situ.Message` as data, `as: :envelope` keeps times and sequence id.
   """
+  alias Situ.Argument
   alias Situ.Stream
 
   @enforce_keys [:name, :ref]
@@ -39,20 +40,30 @@ defmodule Situ.Connector do
 
   @doc "The stream on the receiving side. Options: `as:`, `window:`, `type:`, and those of `Situ.Graph.Placement`."
   @spec receive(Situ.Pipeline.t(), t(), keyword()) :: Stream.t()
-  def receive(p, %__MODULE__{} = connector, opts \\ []) do
+  def receive(p, connector, opts \\ [])
+
+  def receive(%Situ.Graph.Handle{} = p, %__MODULE__{} = connector, opts) do
     {type, opts} = Keyword.pop(opts, :type, :any)
     opts = Keyword.put_new(opts, :name, connector.name)
     own = [connector: connector, outputs: [out: type]]
     p |> Situ.Pipeline.add(Situ.Connector.In, own ++ opts) |> Situ.Node.output(:out)
   end
 
+  def receive(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :handle, "Situ.Connector.receive(p, connector)")
+
   @doc "Sends a stream into the connector. Options: `policy:` and those of `Situ.Graph.Placement`."
   @spec send(Stream.t(), t(), keyword()) :: :ok
-  def send(%Stream{} = stream, %__MODULE__{} = connector, opts \\ []) do
+  def send(stream, connector, opts \\ [])
+
+  def send(%Stream{} = stream, %__MODULE__{} = connector, opts) do
     opts = [connector: connector] ++ Keyword.put_new(opts, :name, connector.name)
     node = Situ.Pipeline.add(stream.pipeline, Situ.Connector.Out, opts)
     Situ.Pipeline.connect(stream, node, :in)
   end
+
+  def send(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :stream, "Situ.Connector.send(stream, connector)")
 
   @doc "Waits until a receiving side runs."
   @spec await_open(t(), timeout()) :: :ok | {:error, Situ.Error.t()}

@@ -56,6 +56,7 @@ defmodule Situ.GenStage do
       iex> error.code
       :not_running
   """
+  alias Situ.Argument
   alias Situ.Pipeline.Client
 
   @doc """
@@ -77,11 +78,16 @@ defmodule Situ.GenStage do
   """
   @spec from(Situ.Pipeline.t(), GenServer.server() | [GenServer.server()], keyword()) ::
           Situ.Stream.t()
-  def from(%Situ.Graph.Handle{} = p, producers, opts \\ []) do
+  def from(p, producers, opts \\ [])
+
+  def from(%Situ.Graph.Handle{} = p, producers, opts) do
     {type, opts} = Keyword.pop(opts, :type, :any)
     own = [producers: List.wrap(producers), default_name: "GenStage", outputs: [out: type]]
     p |> Situ.Pipeline.add(Situ.GenStage.Source, own ++ opts) |> Situ.Node.streams()
   end
+
+  def from(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :handle, "Situ.GenStage.from(p, producer)")
 
   @doc """
   The stream, held back until a consumer lets it go with `GenStage.demand(pid, :forward)`: none of its messages is
@@ -91,12 +97,17 @@ defmodule Situ.GenStage do
       Situ.from_enumerable(p, 0..999, every: Situ.Time.ms(1)) |> Situ.GenStage.accumulate(name: "Numbers")
   """
   @spec accumulate(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
-  def accumulate(%Situ.Stream{} = stream, opts \\ []) do
+  def accumulate(stream, opts \\ [])
+
+  def accumulate(%Situ.Stream{} = stream, opts) do
     own = [default_name: "Accumulate", outputs: [out: stream.type]]
     node = Situ.Pipeline.add(stream.pipeline, Situ.GenStage.Gate, own ++ opts)
     Situ.Pipeline.connect(stream, node, :in)
     Situ.Node.streams(node)
   end
+
+  def accumulate(other, _arg2),
+    do: Argument.refuse!(other, :stream, "Situ.GenStage.accumulate(stream)")
 end
 
 defmodule Situ.GenStage.Gate do

@@ -22,6 +22,7 @@ defmodule Situ.Pipeline.Tap do
       iex> Situ.Pipeline.Tap.detach(tap)
       :ok
   """
+  alias Situ.Argument
   alias Situ.Pipeline.Client
   alias Situ.Pipeline.Tap.{Here, Sink}
 
@@ -68,6 +69,11 @@ defmodule Situ.Pipeline.Tap do
     end
   end
 
+  def attach(_target, other, _opts) do
+    takes = "a function of a message as its second argument"
+    Argument.refuse!(other, takes, "Situ.attach_tap(stream, fn message -> message end)")
+  end
+
   defp elsewhere?(pipeline) do
     pid = Client.pid(pipeline)
     is_pid(pid) and node(pid) != node()
@@ -84,8 +90,18 @@ defmodule Situ.Pipeline.Tap do
     end
   end
 
+  def detach(other) do
+    takes = "a tap, as Situ.attach_tap/3 returns it"
+    Argument.refuse!(other, takes, "{:ok, tap} = Situ.attach_tap(...), then Situ.detach_tap(tap)")
+  end
+
   defp which(%Situ.Stream{} = stream), do: {stream, {stream.node, stream.output}}
   defp which({pipeline, name}) when is_binary(name), do: {pipeline, name}
+
+  defp which(other) do
+    takes = "a stream, or {pipeline, name_of_a_stream}"
+    Argument.refuse!(other, takes, ~s|Situ.attach_tap({p, "Front"}, fn message -> message end)|)
+  end
 end
 
 defmodule Situ.Pipeline.Tap.Sink do

@@ -15,6 +15,7 @@ defmodule Situ.Tap do
   (default 10,000) wait in its mailbox, it misses messages.
   """
 
+  alias Situ.Argument
   alias Situ.{Operator, Stream}
   alias Situ.Graph.Placement
 
@@ -85,12 +86,16 @@ defmodule Situ.Tap do
 
   @doc "A tap behind `stream`: the stream that goes on, and the tap to subscribe to."
   @spec new(Stream.t(), keyword()) :: {Stream.t(), t()}
-  def new(%Stream{} = stream, opts \\ []) do
+  def new(stream, opts \\ [])
+
+  def new(%Stream{} = stream, opts) do
     tap = %__MODULE__{ref: make_ref()}
     {own, placed} = Placement.split!(opts, @schema, :operator)
     outlet = {Outlet, [tap: tap] ++ own}
     {Operator.through(stream, "Tap", outlet, placed, stream.type), tap}
   end
+
+  def new(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.tap(stream)")
 
   @doc "The calling process gets messages from now on."
   @spec subscribe(t()) :: :ok

@@ -133,6 +133,33 @@ defmodule Situ.Delivery do
     end
   end
 
+  @calls %{
+    "unlimited" => "unlimited()",
+    "latest" => "latest()",
+    "throttle" => "throttle()",
+    "synchronous" => "synchronous()",
+    "max_queue" => "max_queue(5)",
+    "max_latency" => "max_latency(Situ.Time.ms(100))"
+  }
+
+  @doc """
+  What to write instead of something that is no policy, or `nil`.
+
+      iex> Situ.Delivery.suggest(:lastest)
+      "did you mean Situ.Delivery.latest()?"
+  """
+  @spec suggest(term()) :: String.t() | nil
+  def suggest({name, _limit}), do: suggest(name)
+
+  def suggest(name) when is_binary(name) or (is_atom(name) and name not in [nil, true, false]) do
+    case Options.nearest(name, Map.keys(@calls)) do
+      nil -> "policies are: " <> Enum.map_join(Map.values(@calls), ", ", &"Situ.Delivery.#{&1}")
+      near -> "did you mean Situ.Delivery.#{@calls[near]}?"
+    end
+  end
+
+  def suggest(_other), do: nil
+
   @doc "Whether the policy may drop messages."
   @spec lossy?(t()) :: boolean()
   def lossy?(%__MODULE__{max_queue: :infinity, max_latency: :infinity}), do: false

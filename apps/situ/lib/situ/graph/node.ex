@@ -37,10 +37,15 @@ defmodule Situ.Node do
     end
   end
 
+  def output(other, _name),
+    do: Situ.Argument.refuse!(other, :node, "Situ.Node.output(node, :out)")
+
   @doc "The only output's stream, or a map of name and stream when there are several (`%{}` for none)."
   @spec streams(t()) :: Situ.Stream.t() | %{atom() => Situ.Stream.t()}
   def streams(%__MODULE__{outputs: [{name, _}]} = node), do: output(node, name)
 
   def streams(%__MODULE__{outputs: outputs} = node),
     do: Map.new(outputs, fn {name, _} -> {name, output(node, name)} end)
+
+  def streams(other), do: Situ.Argument.refuse!(other, :node, "Situ.Node.streams(node)")
 end

@@ -25,7 +25,13 @@ defmodule Situ.Stream do
     %{stream | name: name}
   end
 
+  def name(other, _name),
+    do: Situ.Argument.refuse!(other, :stream, ~s|Situ.name(stream, "Front")|)
+
   @doc "The same stream seen as another type (no run-time change; inputs check what really arrives)."
   @spec as(t(), Situ.Type.t()) :: t()
   def as(%__MODULE__{} = stream, type), do: %{stream | type: type}
+
+  def as(other, _type),
+    do: Situ.Argument.refuse!(other, :stream, "Situ.Stream.as(stream, :integer)")
 end

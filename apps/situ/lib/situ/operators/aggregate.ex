@@ -51,6 +51,7 @@ defmodule Situ.Aggregate do
 
   import Kernel, except: [abs: 1, max: 2, min: 2]
 
+  alias Situ.Argument
   alias Situ.Graph.Placement
   alias Situ.{Number, Operator, Statistics, Stream, Window}
   alias Situ.Statistics.Sliding
@@ -59,7 +60,9 @@ defmodule Situ.Aggregate do
   Folds without an initial value: the first message passes as it is, then `fun.(data, previous_output)`.
   """
   @spec reduce(Stream.t(), (term(), term() -> term()), keyword()) :: Stream.t()
-  def reduce(%Stream{} = stream, fun, opts \\ []) when is_function(fun, 2) do
+  def reduce(stream, fun, opts \\ [])
+
+  def reduce(%Stream{} = stream, fun, opts) when is_function(fun, 2) do
     step = fn
       data, _message, :none -> {:emit, data, {:some, data}}
       data, _message, {:some, previous} -> folded(fun.(data, previous))
@@ -67,6 +70,9 @@ defmodule Situ.Aggregate do
 
     Operator.attach(stream, "Reduce", {:step, step, :none}, opts, stream.type)
   end
+
+  def reduce(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :stream, "Situ.reduce(stream, fn data, acc -> data + acc end)")
 
   defp folded(value), do: {:emit, value, {:some, value}}
 
@@ -100,6 +106,7 @@ defmodule Situ.Aggregate do
   """
   @spec delta(Stream.t(), keyword()) :: Stream.t()
   def delta(stream, opts \\ []) do
+    stream = Argument.stream!(stream, "Situ.delta(stream)")
     {stream, _own, placed} = filtered(stream, opts, where: @where)
     fun = fn [this, next] -> Number.subtract(next, this) end
     Window.window(stream, 0..1, fun, name("Delta", placed))
@@ -108,6 +115,7 @@ defmodule Situ.Aggregate do
   @doc "Each number without its sign. `where:` filters first."
   @spec abs(Stream.t(), keyword()) :: Stream.t()
   def abs(stream, opts \\ []) do
+    stream = Argument.stream!(stream, "Situ.abs(stream)")
     {stream, _own, placed} = filtered(stream, opts, where: @where)
     Operator.attach(stream, "Abs", {:map, &Number.abs/1}, placed, stream.type)
   end
@@ -115,6 +123,7 @@ defmodule Situ.Aggregate do
   @doc "The logarithm of each number: natural, or to `base:`. `where:` filters first."
   @spec log(Stream.t(), keyword()) :: Stream.t()
   def log(stream, opts \\ []) do
+    stream = Argument.stream!(stream, "Situ.log(stream)")
     {stream, own, placed} = filtered(stream, opts, where: @where, base: @base)
     Operator.attach(stream, "Log", {:map, logarithm(own[:base])}, placed, :any)
   end
@@ -135,6 +144,9 @@ defmodule Situ.Aggregate do
     name = kind |> Atom.to_string() |> String.capitalize()
     over(own[:over], stream, {kind, name, own}, opts)
   end
+
+  defp statistic(other, kind, _opts),
+    do: Argument.refuse!(other, :stream, "Situ.#{kind}(stream)")
 
   defp over(:all, stream, {kind, name, own}, opts) do
     step = running(own[:where], own[:by])

@@ -62,6 +62,7 @@ defmodule Situ.Filter do
   All filters take the options of every operator, too (`Situ.Graph.Placement`).
   """
 
+  alias Situ.Argument
   alias Situ.{Fusion, Number, Operator, Reproducible, Stream}
   alias Situ.Graph.Placement
   alias Situ.Filter.{Fir, Iir, OneEuro}
@@ -84,7 +85,9 @@ defmodule Situ.Filter do
 
   @doc "The median of the last `order:` samples (default 7; fewer at the beginning), which takes single outliers away."
   @spec denoise(Stream.t(), keyword()) :: Stream.t()
-  def denoise(%Stream{} = stream, opts \\ []) do
+  def denoise(stream, opts \\ [])
+
+  def denoise(%Stream{} = stream, opts) do
     {own, placed} = Placement.split!(opts, @denoise, :operator)
     order = own[:order]
 
@@ -96,13 +99,17 @@ defmodule Situ.Filter do
     Operator.attach(stream, "Denoise", {:step, valued(step), []}, placed, :number)
   end
 
+  def denoise(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.denoise(stream)")
+
   @doc """
   The 1 euro filter, see `Situ.Filter.OneEuro`.
 
   #{Situ.Options.docs(@one_euro)}
   """
   @spec one_euro(Stream.t(), keyword()) :: Stream.t()
-  def one_euro(%Stream{} = stream, opts \\ []) do
+  def one_euro(stream, opts \\ [])
+
+  def one_euro(%Stream{} = stream, opts) do
     {own, placed} = Placement.split!(opts, @one_euro, :operator)
 
     step = fn
@@ -113,12 +120,16 @@ defmodule Situ.Filter do
     Operator.attach(stream, "OneEuro", {:step, step, OneEuro.new(own)}, placed, :number)
   end
 
+  def one_euro(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.one_euro(stream)")
+
   defp edge(stream, name, shape, opts) do
+    stream = Argument.stream!(stream, "Situ.#{shape}(stream, cutoff: 3, rate: 100)")
     {own, placed} = Placement.split!(opts, @edge, :operator)
     attach(stream, name, {shape, [own[:cutoff]]}, own, placed)
   end
 
   defp band(stream, name, shape, opts) do
+    stream = Argument.stream!(stream, "Situ.#{shape}(stream, band: {2, 9}, rate: 100)")
     {own, placed} = Placement.split!(opts, @band, :operator)
     attach(stream, name, {shape, Tuple.to_list(own[:band])}, own, placed)
   end

@@ -75,6 +75,7 @@ defmodule Situ.Fusion do
   and those of `Situ.Graph.Placement`, where `policy:` may be a list with one for each input, primary first.
   """
 
+  alias Situ.Argument
   alias Situ.Fusion.{Arguments, Assembly, DynamicInputs}
   alias Situ.Graph.Placement
   alias Situ.{Interpolator, Interval, Pipeline, Reproducible, Stream}
@@ -154,11 +155,20 @@ defmodule Situ.Fusion do
   Each primary with the latest secondary that has arrived by then; primaries before the first secondary are dropped,
   unless `initial:` gives a value. Reproducible: no.
 
+  It goes by arrival: a recording that is read as fast as possible (speed `:max`) may have given all its primaries
+  before the first secondary has arrived, and then there is no pair at all. `join/4` with
+  `Situ.Reproducible.last()` gives the latest secondary by originating time, the same at any speed.
+
   #{Situ.Options.docs(@pair)}
   """
   @spec pair(Stream.t(), Stream.t(), keyword()) :: Stream.t()
-  def pair(%Stream{} = primary, %Stream{} = secondary, opts \\ []),
+  def pair(primary, secondary, opts \\ [])
+
+  def pair(%Stream{} = primary, %Stream{} = secondary, opts),
     do: Assembly.pair(primary, secondary, split(opts, @pair))
+
+  def pair(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :streams, "Situ.pair(primary, secondary)")
 
   @doc """
   The messages of all streams, grouped by originating time: a list of those that share it, in the order of the
@@ -192,8 +202,18 @@ defmodule Situ.Fusion do
   """
   @spec interpolate(Stream.t(), Stream.t() | Situ.Time.duration(), interpolator(), keyword()) ::
           Stream.t()
-  def interpolate(stream, clock, interpolator, opts \\ []),
+  def interpolate(stream, clock, interpolator, opts \\ [])
+
+  def interpolate(%Stream{} = stream, clock, interpolator, opts),
     do: tick("Interpolate", stream, clock, interpolator, opts)
+
+  def interpolate(other, _arg2, _arg3, _arg4),
+    do:
+      Argument.refuse!(
+        other,
+        :stream,
+        "Situ.interpolate(stream, clock, Situ.Reproducible.linear())"
+      )
 
   @doc "As `interpolate/4`, by default with the nearest message: of all, or within a tolerance or window."
   @spec sample(
@@ -205,10 +225,14 @@ defmodule Situ.Fusion do
           Stream.t()
   def sample(stream, clock, window \\ Interval.infinite(), opts \\ [])
 
-  def sample(stream, clock, opts, []) when is_list(opts),
+  def sample(%Stream{} = stream, clock, opts, []) when is_list(opts),
     do: sample(stream, clock, Interval.infinite(), opts)
 
-  def sample(stream, clock, window, opts), do: tick("Sample", stream, clock, window, opts)
+  def sample(%Stream{} = stream, clock, window, opts),
+    do: tick("Sample", stream, clock, window, opts)
+
+  def sample(other, _arg2, _arg3, _arg4),
+    do: Argument.refuse!(other, :stream, "Situ.sample(stream, Situ.Time.ms(20))")
 
   defp tick(name, %Stream{} = stream, clock, interpolator, opts) do
     interpolator = Arguments.interpolator(interpolator)

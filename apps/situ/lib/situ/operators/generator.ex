@@ -63,6 +63,7 @@ defmodule Situ.Generator do
   Besides the options named with each function, all take those of `Situ.Graph.Placement` for generators.
   """
 
+  alias Situ.Argument
   alias Situ.Graph.Placement
   alias Situ.{Pipeline, Stream}
   alias Situ.Generator.{Events, Feed, Source, Timer}
@@ -77,6 +78,10 @@ defmodule Situ.Generator do
   def sequence(%Situ.Graph.Handle{} = p, initial, next, opts) when is_function(next, 1),
     do: paced(p, "Sequence", {initial, next}, opts)
 
+  def sequence(other, _arg2, _arg3, _arg4),
+    do:
+      Argument.refuse!(other, :handle, "Situ.sequence(p, 0, &(&1 + 1), every: Situ.Time.ms(20))")
+
   @doc """
   The same value again and again.
 
@@ -85,14 +90,25 @@ defmodule Situ.Generator do
   @spec repeat(Pipeline.t(), term(), keyword()) :: Stream.t()
   def repeat(%Situ.Graph.Handle{} = p, value, opts), do: paced(p, "Repeat", {value, & &1}, opts)
 
+  def repeat(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :handle, "Situ.repeat(p, 1, every: Situ.Time.ms(20))")
+
   @doc "One value at the pipeline's start, and that was all."
   @spec return(Pipeline.t(), term(), keyword()) :: Stream.t()
-  def return(%Situ.Graph.Handle{} = p, value, opts \\ []),
+  def return(p, value, opts \\ [])
+
+  def return(%Situ.Graph.Handle{} = p, value, opts),
     do: single(p, "Return", value, false, opts)
+
+  def return(other, _arg2, _arg3), do: Argument.refuse!(other, :handle, "Situ.return(p, 1)")
 
   @doc "One value at the pipeline's start; the stream stays open."
   @spec once(Pipeline.t(), term(), keyword()) :: Stream.t()
-  def once(%Situ.Graph.Handle{} = p, value, opts \\ []), do: single(p, "Once", value, true, opts)
+  def once(p, value, opts \\ [])
+
+  def once(%Situ.Graph.Handle{} = p, value, opts), do: single(p, "Once", value, true, opts)
+
+  def once(other, _arg2, _arg3), do: Argument.refuse!(other, :handle, "Situ.once(p, 1)")
 
   @doc """
   The items of any enumerable: with `every:` (and `align:`) values that far apart, else `{time, value}` pairs or
@@ -103,7 +119,9 @@ defmodule Situ.Generator do
   #{Situ.Options.docs(@enumerable)}
   """
   @spec from_enumerable(Pipeline.t(), Enumerable.t(), keyword()) :: Stream.t()
-  def from_enumerable(%Situ.Graph.Handle{} = p, enumerable, opts \\ []) do
+  def from_enumerable(p, enumerable, opts \\ [])
+
+  def from_enumerable(%Situ.Graph.Handle{} = p, enumerable, opts) do
     {own, placed} = Placement.split!(opts, @enumerable, :generator)
     if own[:start], do: Pipeline.propose_replay(p, {own[:start], :unbounded})
     placed = Keyword.put_new(placed, :type, type(enumerable))
@@ -122,6 +140,9 @@ defmodule Situ.Generator do
     end
   end
 
+  def from_enumerable(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :handle, "Situ.from_enumerable(p, 1..9, every: Situ.Time.ms(20))")
+
   @doc """
   A message whenever `every:` ns of the clock have passed, stamped with the clock; its data is the time since the
   start (ns), or that of `fun:`. Ticks that were missed are not made up for.
@@ -137,6 +158,9 @@ defmodule Situ.Generator do
     add(p, "Timer", {Timer, own}, Keyword.put_new(placed, :type, type))
   end
 
+  def timer(other, _arg2),
+    do: Argument.refuse!(other, :handle, "Situ.timer(p, every: Situ.Time.ms(20))")
+
   @doc """
   Data that other processes post. When the pipeline starts `subscribe.(post)` is called; any process may then call
   `post.(data)`, which makes a message, stamped with the clock. Two messages of the same time are set 1 ns apart
@@ -148,12 +172,17 @@ defmodule Situ.Generator do
   """
   @spec event_source(Pipeline.t(), ((term() -> :ok) -> handle), keyword()) :: Stream.t()
         when handle: term()
-  def event_source(%Situ.Graph.Handle{} = p, subscribe, opts \\ [])
+  def event_source(p, subscribe, opts \\ [])
+
+  def event_source(%Situ.Graph.Handle{} = p, subscribe, opts)
       when is_function(subscribe, 1) do
     opts = Keyword.put_new(opts, :on_same_time, :nudge)
     {own, placed} = Placement.split!(opts, @events, :generator)
     add(p, "EventSource", {Events, [subscribe: subscribe] ++ own}, placed)
   end
+
+  def event_source(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :handle, "Situ.event_source(p, fn post -> subscribe(post) end)")
 
   defp paced(p, name, {initial, next}, opts) do
     {own, placed} = Placement.split!(opts, @paced, :generator)

@@ -24,6 +24,7 @@ defmodule Situ.MapAsync do
       iex> Situ.to_list(build, pipeline: [replay: [interval: {0, :unbounded}, speed: :max]])
       [1, 4, 9, 16, 25]
   """
+  alias Situ.Argument
   alias Situ.Graph.Placement
   alias Situ.{Operator, Stream}
 
@@ -42,7 +43,9 @@ defmodule Situ.MapAsync do
           keyword()
         ) ::
           Stream.t()
-  def map_async(%Stream{} = stream, fun, opts \\ [])
+  def map_async(stream, fun, opts \\ [])
+
+  def map_async(%Stream{} = stream, fun, opts)
       when is_function(fun, 1) or is_function(fun, 2) do
     {own, placed} = Placement.split!(opts, @schema, :operator)
     own = Keyword.put_new(own, :max, System.schedulers_online())
@@ -50,6 +53,9 @@ defmodule Situ.MapAsync do
     given = for {key, value} <- own, do: {if(key == :on_error, do: :errors, else: key), value}
     Operator.through(stream, "MapAsync", {Situ.MapAsync.Component, given}, placed)
   end
+
+  def map_async(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :stream, "Situ.map_async(stream, fn data -> data end)")
 end
 
 defmodule Situ.MapAsync.Component do

@@ -92,6 +92,7 @@ defmodule Situ.Parallel do
   and those of every operator (`Situ.Graph.Placement`).
   """
 
+  alias Situ.Argument
   alias Situ.Parallel.{Values, Processes, Termination}
   alias Situ.Graph.Placement
   alias Situ.{Operator, Stream}
@@ -105,7 +106,9 @@ defmodule Situ.Parallel do
   """
   @spec parallel(Stream.t(), (Stream.t() -> term()) | (term(), Stream.t() -> term()), keyword()) ::
           Stream.t()
-  def parallel(%Stream{} = stream, fun, opts \\ [])
+  def parallel(stream, fun, opts \\ [])
+
+  def parallel(%Stream{} = stream, fun, opts)
       when is_function(fun, 1) or is_function(fun, 2) do
     {own, placed} = Placement.split!(opts, @schema, :operator)
     form = form(stream.type, fun, own)
@@ -119,6 +122,9 @@ defmodule Situ.Parallel do
     box = if processes?, do: Processes, else: Values
     Operator.through(stream, "Parallel", {box, options}, placed, type)
   end
+
+  def parallel(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :stream, "Situ.parallel(stream, fn stream -> stream end)")
 
   defp form(type, fun, own) do
     cond do

@@ -36,6 +36,7 @@ defmodule Situ.Selection do
   They take the options of every operator (`Situ.Graph.Placement`).
   """
 
+  alias Situ.Argument
   alias Situ.Graph.Placement
   alias Situ.{Generator, Operator, Stream}
   alias Situ.Selection.{Delay, Edit, Last, Process, Reorder}
@@ -43,7 +44,8 @@ defmodule Situ.Selection do
   @doc "The first `n` messages; the stream stays open and silent after them."
   @spec first(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
   def first(stream, n \\ 1, opts \\ [])
-  def first(stream, opts, []) when is_list(opts), do: first(stream, 1, opts)
+
+  def first(%Stream{} = stream, opts, []) when is_list(opts), do: first(stream, 1, opts)
 
   def first(%Stream{} = stream, n, opts) when is_integer(n) and n >= 0 do
     step = fn
@@ -54,37 +56,56 @@ defmodule Situ.Selection do
     Operator.attach(stream, "First", {:step, step, n}, opts, stream.type)
   end
 
+  def first(other, _arg2, _arg3), do: Argument.refuse!(other, :stream, "Situ.first(stream, 3)")
+
   @doc "As `first/3`, under Elixir's name."
   @spec take(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
-  def take(stream, n, opts \\ []), do: first(stream, n, opts)
+  def take(stream, n, opts \\ []),
+    do: stream |> Argument.stream!("Situ.take(stream, 3)") |> first(n, opts)
 
   @doc "The last `n` messages, with their times, when the stream ends."
   @spec last(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
   def last(stream, n \\ 1, opts \\ [])
-  def last(stream, opts, []) when is_list(opts), do: last(stream, 1, opts)
+
+  def last(%Stream{} = stream, opts, []) when is_list(opts), do: last(stream, 1, opts)
 
   def last(%Stream{} = stream, n, opts) when is_integer(n) and n >= 0,
     do: Operator.through(stream, "Last", {Last, [count: n]}, opts, stream.type)
 
+  def last(other, _arg2, _arg3), do: Argument.refuse!(other, :stream, "Situ.last(stream, 3)")
+
   @doc "`fun` of the data, but `nil` stays `nil`."
   @spec map_present(Stream.t(), (term() -> term()), keyword()) :: Stream.t()
-  def map_present(stream, fun, opts \\ []) when is_function(fun, 1) do
+  def map_present(stream, fun, opts \\ [])
+
+  def map_present(%Stream{} = stream, fun, opts) when is_function(fun, 1) do
     Operator.attach(stream, "MapPresent", {:map, &if(&1 == nil, do: nil, else: fun.(&1))}, opts)
   end
 
+  def map_present(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :stream, "Situ.map_present(stream, fn data -> data end)")
+
   @doc "The originating time of each message as its data, ns."
   @spec time_of(Stream.t(), keyword()) :: Stream.t()
-  def time_of(stream, opts \\ []) do
+  def time_of(stream, opts \\ [])
+
+  def time_of(%Stream{} = stream, opts) do
     step = {:map, fn _data, message -> message.originating_time end}
     Operator.attach(stream, "TimeOf", step, opts, :integer)
   end
 
+  def time_of(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.time_of(stream)")
+
   @doc "Creation time minus originating time of each message as its data, ns: how late it is here. Reproducible: no."
   @spec latency(Stream.t(), keyword()) :: Stream.t()
-  def latency(stream, opts \\ []) do
+  def latency(stream, opts \\ [])
+
+  def latency(%Stream{} = stream, opts) do
     step = {:map, fn _data, message -> Situ.Message.latency(message) end}
     Operator.attach(stream, "Latency", step, Keyword.put_new(opts, :async, true), :integer)
   end
+
+  def latency(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.latency(stream)")
 
   @doc """
   Holds each message until its creation time plus `duration` (ns) on the pipeline's clock. Its times and data stay
@@ -95,8 +116,13 @@ defmodule Situ.Selection do
   (`pair/3`, `merge/3`) see it later.
   """
   @spec delay(Stream.t(), Situ.Time.duration(), keyword()) :: Stream.t()
-  def delay(%Stream{} = stream, duration, opts \\ []) when is_integer(duration) and duration >= 0,
+  def delay(stream, duration, opts \\ [])
+
+  def delay(%Stream{} = stream, duration, opts) when is_integer(duration) and duration >= 0,
     do: Operator.through(stream, "Delay", {Delay, [duration: duration]}, opts, stream.type)
+
+  def delay(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :stream, "Situ.delay(stream, Situ.Time.ms(20))")
 
   @doc """
   Any number of messages from each: `fun.(message, state)` answers `{[{time, data}], state}`. Times must strictly
@@ -118,20 +144,35 @@ defmodule Situ.Selection do
         ) ::
           Stream.t()
         when state: term()
-  def process(%Stream{} = stream, state, fun, opts \\ []) when is_function(fun, 2) do
+  def process(stream, state, fun, opts \\ [])
+
+  def process(%Stream{} = stream, state, fun, opts) when is_function(fun, 2) do
     {own, placed} = Placement.split!(opts, @process, :operator)
     Operator.through(stream, "Process", {Process, [state: state, fun: fun] ++ own}, placed)
   end
+
+  def process(other, _arg2, _arg3, _arg4),
+    do:
+      Argument.refuse!(
+        other,
+        :stream,
+        "Situ.process(stream, state, fn message, state -> {[], state} end)"
+      )
 
   @doc """
   The stream with edits: `{time, {:put, data}}` replaces the message at that time or inserts one, `{time, :delete}`
   takes it out. Edits may come in any order; of two at one time the later in the list counts.
   """
   @spec edit(Stream.t(), [{Situ.Time.t(), {:put, term()} | :delete}], keyword()) :: Stream.t()
-  def edit(%Stream{} = stream, edits, opts \\ []) when is_list(edits) do
+  def edit(stream, edits, opts \\ [])
+
+  def edit(%Stream{} = stream, edits, opts) when is_list(edits) do
     edits = Generator.from_enumerable(stream.pipeline, Edit.sorted(edits))
     Operator.through([in: stream, edits: edits], "Edit", {Edit, []}, opts, stream.type)
   end
+
+  def edit(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :stream, "Situ.edit(stream, [{time, :delete}])")
 
   @doc """
   Brings messages into order by a time of their own (a device's time stamp). Each waits until one has come whose
@@ -140,7 +181,9 @@ defmodule Situ.Selection do
   #{Situ.Options.docs(@reorder)}
   """
   @spec reorder(Stream.t(), Situ.Time.duration(), keyword()) :: Stream.t()
-  def reorder(%Stream{} = stream, lateness, opts \\ [])
+  def reorder(stream, lateness, opts \\ [])
+
+  def reorder(%Stream{} = stream, lateness, opts)
       when is_integer(lateness) and lateness >= 0 do
     {own, placed} = Placement.split!(opts, @reorder, :operator)
     own = Keyword.put_new(own, :time, & &1.originating_time)
@@ -153,4 +196,7 @@ defmodule Situ.Selection do
       stream.type
     )
   end
+
+  def reorder(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :stream, "Situ.reorder(stream, Situ.Time.ms(20))")
 end

@@ -51,6 +51,7 @@ defmodule Situ.StateMachine do
 
   Reproducible: yes.
   """
+  alias Situ.Argument
   alias Situ.Graph.Placement
   alias Situ.{Operator, Stream}
   alias Situ.StateMachine.Runner
@@ -83,10 +84,15 @@ defmodule Situ.StateMachine do
   """
   @spec state_machine(Stream.t(), module() | (state(), event(), data() -> answer()), keyword()) ::
           Stream.t()
-  def state_machine(%Stream{} = stream, machine, opts \\ []) do
+  def state_machine(stream, machine, opts \\ [])
+
+  def state_machine(%Stream{} = stream, machine, opts) do
     {own, placed} = Placement.split!(opts, @schema, :operator)
     Operator.through(stream, "StateMachine", {Runner, start(machine, own)}, placed)
   end
+
+  def state_machine(other, _arg2, _arg3),
+    do: Argument.refuse!(other, :stream, "Situ.state_machine(stream, machine)")
 
   defp start(fun, own) when is_function(fun, 3) do
     case own[:init] do
@@ -95,7 +101,12 @@ defmodule Situ.StateMachine do
     end
   end
 
-  defp start(module, own) when is_atom(module) do
+  defp start(other, _own) when not is_atom(other) do
+    takes = "a module, or a function of (message, state, data), as its second argument"
+    Argument.refuse!(other, takes, "Situ.state_machine(stream, machine)")
+  end
+
+  defp start(module, own) do
     unless Code.ensure_loaded?(module) and function_exported?(module, :handle_event, 3),
       do:
         raise(

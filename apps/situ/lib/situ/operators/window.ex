@@ -40,6 +40,7 @@ defmodule Situ.Window do
   and those of every operator (`Situ.Graph.Placement`).
   """
 
+  alias Situ.Argument
   alias Situ.Graph.Placement
   alias Situ.{Interval, Operator, Stream}
   alias Situ.Window.{Dynamic, Index, Component, Relative}
@@ -52,13 +53,18 @@ defmodule Situ.Window do
           Stream.t()
   def window(stream, window, fun \\ nil, opts \\ [])
 
-  def window(stream, window, opts, []) when is_list(opts), do: window(stream, window, nil, opts)
+  def window(%Stream{} = stream, window, opts, []) when is_list(opts),
+    do: window(stream, window, nil, opts)
 
   def window(%Stream{} = stream, window, fun, opts) when is_nil(fun) or is_function(fun, 1) do
     {own, placed} = Placement.split!(opts, @schema, :operator)
     type = if fun == nil, do: {:list, item(stream, own[:with])}, else: :any
     place(stream, window, {fun, own[:with]}, {type, placed})
   end
+
+  def window(other, _arg2, _arg3, _arg4),
+    do:
+      Argument.refuse!(other, :stream, "Situ.window(stream, -2..0, fn list -> length(list) end)")
 
   @doc """
   A window per message of `windows`. `interval.(message)` gives `{interval, obsolete}`: which span of `stream` (a
@@ -73,13 +79,23 @@ defmodule Situ.Window do
           (Situ.Message.t() -> {Interval.t(), Situ.Time.t()}),
           keyword()
         ) :: Stream.t()
-  def window_by(%Stream{} = stream, %Stream{} = windows, interval, opts \\ [])
+  def window_by(stream, windows, interval, opts \\ [])
+
+  def window_by(%Stream{} = stream, %Stream{} = windows, interval, opts)
       when is_function(interval, 1) do
     {own, placed} = Placement.split!(opts, @by, :operator)
     creator = own[:with] || fn _window, messages -> Enum.map(messages, & &1.data) end
     core = {Dynamic, :new, [interval, creator]}
     Operator.through([in: stream, windows: windows], "Window", {Component, [core: core]}, placed)
   end
+
+  def window_by(other, _arg2, _arg3, _arg4),
+    do:
+      Argument.refuse!(
+        other,
+        :stream,
+        "Situ.window_by(stream, windows, fn message -> {interval, time} end)"
+      )
 
   # Windows that end at their anchor are decided by it: light operators, chained with their neighbours.
   defp place(stream, %Range{first: from, last: to}, {fun, with}, {type, placed})

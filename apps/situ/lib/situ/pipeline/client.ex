@@ -2,7 +2,7 @@ defmodule Situ.Pipeline.Client do
   @moduledoc false
   # Questions to a pipeline's process, asked by its handle, a stream, pid or name; one that has ended is an error, or
   # its result.
-  alias Situ.{Error, Lifecycle, Pipeline}
+  alias Situ.{Argument, Error, Lifecycle, Pipeline}
   alias Situ.Application.{Directory, Results}
   alias Situ.Graph.{Builder, Extension, Handle}
   alias Situ.Lifecycle.Errors
@@ -27,7 +27,7 @@ defmodule Situ.Pipeline.Client do
           :ok | {:error, Error.t()}
   def stop_part(p, part, opts) do
     pid = pid(p)
-    path = if is_struct(part, Situ.Node), do: part.path, else: part
+    path = path!(part)
 
     how = %{
       catch_up: Keyword.get(opts, :catch_up, Lifecycle.catch_up_ms()),
@@ -42,6 +42,14 @@ defmodule Situ.Pipeline.Client do
     else
       ask(pid, request, Keyword.get(opts, :timeout, :infinity), nil)
     end
+  end
+
+  defp path!(path) when is_binary(path), do: path
+  defp path!(%Situ.Node{path: path}), do: path
+
+  defp path!(other) do
+    takes = "the path of a composite or component, or a node, as its second argument"
+    Argument.refuse!(other, takes, ~s|Situ.Pipeline.stop_part(p, "Side")|)
   end
 
   # A component, or a handler, of the pipeline itself.
@@ -164,5 +172,13 @@ defmodule Situ.Pipeline.Client do
   def pid(%Situ.Stream{pipeline: p}), do: p.pid
   def pid(pid) when is_pid(pid), do: pid
   def pid(label) when is_binary(label), do: Directory.whereis(label)
-  def pid(name), do: GenServer.whereis(name)
+
+  def pid(name)
+      when is_atom(name) or
+             (is_tuple(name) and elem(name, 0) in [:global, :via]) or
+             (is_tuple(name) and tuple_size(name) == 2 and is_atom(elem(name, 1)) and
+                elem(name, 0) != :ok),
+      do: GenServer.whereis(name)
+
+  def pid(other), do: Argument.refuse!(other, :target, "Situ.Pipeline.info(p)")
 end

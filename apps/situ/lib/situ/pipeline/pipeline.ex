@@ -37,6 +37,13 @@ defmodule Situ.Pipeline do
   error. When the pipeline's process dies its components release what they hold and end. The guide "When things fail"
   has the whole table.
 
+  ## Compiling again
+
+  When the module of a running pipeline is compiled again (`r Lobby` in IEx), its operators go on with the new functions
+  and the state that they have, also while the pipeline starts. It takes some 50 ms, more on a busy machine. The VM keeps
+  two versions of a module: who compiles twice within that time ends the pipeline with a `BadFunctionError`. Functions
+  given as `&Module.name/1` are always the newest and have no such limit.
+
   ## Building from outside
 
   `new/1` opens an empty pipeline in state `:building`; add to it from any process, then `launch/1`:
@@ -50,7 +57,7 @@ defmodule Situ.Pipeline do
       iex> error.code
       :not_running
   """
-  alias Situ.{Error, Graph, Node, Stream}
+  alias Situ.{Argument, Error, Graph, Node, Stream}
   alias Situ.Application.Directory
   alias Situ.Graph.{Builder, Handle}
   alias Situ.Pipeline.{Client, Launcher, Report}
@@ -111,6 +118,7 @@ defmodule Situ.Pipeline do
   @doc "Runs a pipeline that was opened with `new/1` and built from outside."
   @spec launch(t()) :: :ok | {:error, Error.t()}
   def launch(%Handle{} = p), do: Client.call(p, :launch)
+  def launch(other), do: Argument.refuse!(other, :handle, "Situ.Pipeline.launch(p)")
 
   @doc """
   Stops: sources first, what is on its way up to now is still delivered, then every output closes, upstream first.
@@ -118,8 +126,8 @@ defmodule Situ.Pipeline do
   A source that lags behind the clock may go on up to the clock's time, for `catch_up:` ms at most (1,000); with
   `catch_up: 0` it ends where it is. `timeout:` bounds the wait of the caller, not the stop.
 
-  Returns the report when all is done; `{:error, %Situ.Error{code: :not_running}}` when it had already ended. Called
-  from inside one of the pipeline's own components it returns `:ok` at once, and the pipeline stops later.
+  Returns the report when all is done, to every caller that asks before it has ended;
+  `{:error, %Situ.Error{code: :not_running}}` when it had ended already. Called from inside one of the pipeline's own components it returns `:ok` at once, and the pipeline stops later.
   """
   @spec stop(target(), keyword()) :: result() | :ok
   def stop(p, opts \\ []), do: Client.stop(p, opts)
@@ -199,13 +207,25 @@ defmodule Situ.Pipeline do
         when result: term()
   def extend(p, fun) when is_function(fun, 1), do: Client.extend(p, fun)
 
-  @doc "As `stop_part/3`, and then it is as though it had never been: its names are free again."
+  def extend(_p, other) do
+    takes = "a function that builds as its second argument"
+    Argument.refuse!(other, takes, "Situ.Pipeline.extend(p, fn p -> Situ.source(p, Camera) end)")
+  end
+
+  @doc """
+  As `stop_part/3`, and then it is as though it had never been: its names are free again.
+
+  A part that was stopped, is being stopped, or has ended by itself can be removed as well.
+  """
   @spec remove(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
   def remove(p, part, opts \\ []), do: Client.stop_part(p, part, [{:forget?, true} | opts])
 
   @doc "A stream of the pipeline being built (or extended), by its name. Raises `Situ.Error` (`:unknown_stream`)."
   @spec stream(t(), String.t()) :: Stream.t()
   def stream(%Handle{} = p, name), do: Builder.run(p, &{Graph.stream!(&1, p, name), &1})
+
+  def stream(other, name),
+    do: Argument.refuse!(other, :handle, "Situ.Pipeline.stream(p, #{inspect(name)})")
 
   @doc "Waits for the end; `{:error, %Situ.Error{code: :timeout}}` after `timeout` ms, and the pipeline goes on."
   @spec await(target(), timeout()) :: result()
@@ -221,6 +241,11 @@ defmodule Situ.Pipeline do
   """
   @spec trace(target(), Situ.Time.t()) :: Situ.Diagnostics.Trace.t()
   def trace(p, time) when is_integer(time), do: Client.call!(p, {:trace, time})
+
+  def trace(_p, other) do
+    takes = "an originating time in ns as its second argument"
+    Argument.refuse!(other, takes, "Situ.trace(p, Situ.Pipeline.now(p))")
+  end
 
   @doc """
   The pipelines of this node: label, process and state of each.
@@ -276,6 +301,11 @@ defmodule Situ.Pipeline do
   def set_speed(p, speed) when is_number(speed) and speed > 0,
     do: Client.call(p, {:clock, {:set_speed, speed}})
 
+  def set_speed(_p, other) do
+    takes = "a number above 0 as its second argument"
+    Argument.refuse!(other, takes, "Situ.Pipeline.set_speed(p, 2.0)")
+  end
+
   @doc """
   Replaces the module or the options of a running component; its edges, queues and place stay.
 
@@ -315,8 +345,15 @@ defmodule Situ.Pipeline do
   @spec checkpoint(target(), (%{String.t() => map()} -> result), keyword()) ::
           {:ok, result} | {:error, Error.t()}
         when result: term()
-  def checkpoint(p, fun, opts \\ []) when is_function(fun, 1),
+  def checkpoint(p, fun, opts \\ [])
+
+  def checkpoint(p, fun, opts) when is_function(fun, 1),
     do: Client.checkpoint(p, fun, Keyword.get(opts, :timeout, 5_000))
+
+  def checkpoint(_p, other, _opts) do
+    takes = "a function of the memories as its second argument"
+    Argument.refuse!(other, takes, "Situ.Pipeline.checkpoint(p, fn memories -> memories end)")
+  end
 
   @doc """
   Adds a component without connecting it (`Situ.source/3` and `Situ.via/3` do both). `opts` are its own options and
@@ -334,13 +371,21 @@ defmodule Situ.Pipeline do
       [{10, :a}, {20, :d}]
   """
   @spec add(t(), module(), keyword()) :: Node.t()
-  def add(%Handle{} = p, module, opts \\ []),
-    do: Builder.run(p, &Graph.add(&1, p, module, opts))
+  def add(p, module, opts \\ [])
+  def add(%Handle{} = p, module, opts), do: Builder.run(p, &Graph.add(&1, p, module, opts))
+
+  def add(other, module, _opts),
+    do: Argument.refuse!(other, :handle, "Situ.Pipeline.add(p, #{inspect(module)})")
 
   @doc "Connects `stream` to the `input` of `node`; option `policy:`, a `Situ.Delivery`."
   @spec connect(Stream.t(), Node.t(), atom(), keyword()) :: :ok
-  def connect(%Stream{} = stream, %Node{} = node, input, opts \\ []),
+  def connect(stream, node, input, opts \\ [])
+
+  def connect(%Stream{} = stream, %Node{} = node, input, opts),
     do: Builder.run(stream.pipeline, &Graph.connect(&1, stream, node, input, opts))
+
+  def connect(other, _node, _input, _opts),
+    do: Argument.refuse!(other, :stream, "Situ.Pipeline.connect(stream, node, :in)")
 
   @doc """
   Groups what `fun` adds under one name, drawn as one box; returns what `fun` returns.
@@ -354,10 +399,16 @@ defmodule Situ.Pipeline do
   `:restart`, keep it.
   """
   @spec composite(t(), String.t(), (t() -> result), keyword()) :: result when result: term()
-  def composite(%Handle{} = p, name, fun, opts \\ [])
-      when is_binary(name) and is_function(fun, 1) do
+  def composite(p, name, fun, opts \\ [])
+
+  def composite(%Handle{} = p, name, fun, opts) when is_binary(name) and is_function(fun, 1) do
     scope = Builder.run(p, &Graph.open_scope(&1, p.scope, name, opts))
     p |> Map.put(:scope, scope) |> fun.() |> rescope(p.scope)
+  end
+
+  def composite(other, _name, _fun, _opts) do
+    example = ~s|Situ.composite(p, "Mouth", fn p -> Situ.source(p, Camera) end)|
+    Argument.refuse!(other, :handle, example)
   end
 
   # Streams and nodes that a composite returns are used outside of it: their handles get the outer scope again.
@@ -389,6 +440,9 @@ defmodule Situ.Pipeline do
           "a proposed replay is {from, to}, ns, with a known start (the end may be :unbounded), got: #{inspect(other)}"
   end
 
+  def propose_replay(other, _span),
+    do: Argument.refuse!(other, :handle, "Situ.Pipeline.propose_replay(p, {from, to})")
+
   @doc """
   Calls `fun` when something happens; only during `build`.
 
@@ -414,9 +468,15 @@ defmodule Situ.Pipeline do
     end)
   end
 
+  def on(other, _event, _fun),
+    do: Argument.refuse!(other, :handle, "Situ.Pipeline.on(p, :error, fn error -> error end)")
+
   @doc """
   The replay interval of the pipeline: `{from | :unbounded, to | :unbounded}`; for importers during `build`.
   """
   @spec replay_interval(t()) :: {Situ.Time.t() | :unbounded, Situ.Time.t() | :unbounded}
   def replay_interval(%Handle{} = p), do: Builder.run(p, &{&1.replay, &1})
+
+  def replay_interval(other),
+    do: Argument.refuse!(other, :handle, "Situ.Pipeline.replay_interval(p)")
 end

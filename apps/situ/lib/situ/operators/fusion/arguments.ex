@@ -1,7 +1,7 @@
 defmodule Situ.Fusion.Arguments do
   @moduledoc false
   # The forms in which streams and interpolators are given to a fusion operator. Pure.
-  alias Situ.{Error, Interpolator, Interval, Reproducible, Stream}
+  alias Situ.{Argument, Error, Interpolator, Interval, Reproducible, Stream}
 
   @type streams ::
           {:one, Stream.t(), Stream.t()}
@@ -32,6 +32,9 @@ defmodule Situ.Fusion.Arguments do
     {{:keyed, primary, keyed}, interpolator, opts}
   end
 
+  def parse(other, _second, _third, _opts),
+    do: Argument.refuse!(other, :streams, "Situ.join(primary, secondary)")
+
   defp last(opts, [], []) when is_list(opts) do
     if Keyword.keyword?(opts), do: {:default, opts}, else: {opts, []}
   end
@@ -39,6 +42,11 @@ defmodule Situ.Fusion.Arguments do
   defp last([], opts, []), do: {:default, opts}
   defp last(interpolator, opts, []), do: {interpolator, opts}
   defp last(interpolator, [], opts), do: {interpolator, opts}
+
+  defp last(_interpolator, other, _opts) do
+    raise ArgumentError,
+          "expected streams, an interpolator and a keyword list of options, got: #{inspect(other, limit: 5)}"
+  end
 
   @doc "The interpolator that was given, or the default."
   @spec given(term(), Interpolator.t() | :none) :: Interpolator.t() | [Interpolator.t()]
@@ -93,6 +101,9 @@ defmodule Situ.Fusion.Arguments do
   @spec inputs(term(), term(), keyword()) :: {[Stream.t()], keyword()}
   def inputs(%Stream{} = first, %Stream{} = second, opts), do: {[first, second], opts}
   def inputs(streams, opts, []) when is_list(streams), do: {some!(streams), opts}
+
+  def inputs(other, _second, _opts),
+    do: Argument.refuse!(other, :streams, "Situ.zip(first, second)")
 
   defp some!([]), do: raise(ArgumentError, "no streams given: there is nothing to bring together")
 

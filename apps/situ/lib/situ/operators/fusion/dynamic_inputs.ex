@@ -1,7 +1,7 @@
 defmodule Situ.Fusion.DynamicInputs do
   @moduledoc false
   # Asks a running pipeline to add an input to a fusion operator, or to take one away.
-  alias Situ.{Error, Options, Pipeline, Stream}
+  alias Situ.{Argument, Error, Options, Pipeline, Stream}
 
   @policy [policy: [type: {:struct, Situ.Delivery}]]
 
@@ -38,9 +38,19 @@ defmodule Situ.Fusion.DynamicInputs do
   defp at(%Stream{} = stream), do: {stream.pipeline, {stream.node, stream.output}}
   defp at({pipeline, name}) when is_binary(name), do: {pipeline, name}
 
+  defp at(other) do
+    takes = "the stream of a join, fusion or merge, or {pipeline, its_name}"
+    Argument.refuse!(other, takes, "Situ.add_input(joined, :left, stream)")
+  end
+
   defp of_pipeline(_pipeline, name) when is_binary(name), do: name
 
-  defp of_pipeline(pipeline, %Stream{} = stream) do
+  defp of_pipeline(_pipeline, other) when not is_struct(other, Stream) do
+    takes = "a stream, or its name, as its third argument"
+    Argument.refuse!(other, takes, "Situ.add_input(joined, :left, stream)")
+  end
+
+  defp of_pipeline(pipeline, stream) do
     if Pipeline.Client.pid(pipeline) == stream.pipeline.pid do
       {stream.node, stream.output}
     else

@@ -1,0 +1,136 @@
+defmodule Situ.ArgumentTest do
+  # The slips of a beginner: each is told what the function takes, what it was given and what to write.
+  use ExUnit.Case, async: true
+
+  alias Situ.{Pipeline, Stream}
+  alias Situ.Graph.Handle
+
+  @operators [
+    Situ.Aggregate,
+    Situ.Collector,
+    Situ.Filter,
+    Situ.Fusion,
+    Situ.Generator,
+    Situ.MapAsync,
+    Situ.Parallel,
+    Situ.Selection,
+    Situ.StateMachine,
+    Situ.Stream,
+    Situ.Window
+  ]
+
+  # These take no pipeline and no stream first, or anything.
+  @others [
+    {Situ, :pipelines},
+    {Situ.Collector, :sink},
+    {Pipeline, :child_spec},
+    {Pipeline, :list},
+    {Pipeline, :new},
+    {Pipeline, :run},
+    {Pipeline, :start},
+    {Pipeline, :start_link}
+  ]
+
+  defp handle, do: %Handle{pid: self(), ref: make_ref()}
+  defp stream, do: %Stream{pipeline: handle(), node: 1, output: :out, name: "s"}
+
+  defp report do
+    {:ok, report} = Pipeline.run(fn _p -> :ok end)
+    report
+  end
+
+  # Every public function of the facade, of the pipeline and of the operators' modules, in every arity.
+  defp functions do
+    for module <- [Situ, Pipeline | @operators],
+        {name, arity} <- module.__info__(:functions),
+        arity > 0,
+        {module, name} not in @others,
+        not String.starts_with?(Atom.to_string(name), "__"),
+        do: {module, name, arity}
+  end
+
+  # A stream is what most of them take, a handle and a report are what some take.
+  defp wrong(report), do: [nil, 42, "", %{}, %{a: 1}, {:ok, self()}, {:a, :b, :c}, ["x"], report]
+
+  test "no public function ends in a FunctionClauseError, whatever its first argument is" do
+    all = functions()
+    assert length(all) > 120
+    report = report()
+
+    assert [] =
+             for(
+               {module, name, arity} <- all,
+               first <- wrong(report),
+               slip = slip({module, name, arity}, first),
+               do: slip
+             )
+  end
+
+  test "a pipeline where a stream belongs, and a stream where a pipeline belongs" do
+    assert [] =
+             for(
+               {module, name, arity} <- functions(),
+               module in [Situ | @operators],
+               first <- [handle(), stream()],
+               slip = slip({module, name, arity}, first),
+               do: slip
+             )
+  end
+
+  # The message of an error that does not tell a person what to write. What the right first argument came with may be
+  # refused by the process behind the handle.
+  defp slip({module, name, arity}, first) do
+    apply(module, name, [first | List.duplicate([], arity - 1)])
+    nil
+  rescue
+    error in [ArgumentError, Situ.Error] ->
+      if Exception.message(error) == "argument error", do: {module, name, arity, first}
+
+    error ->
+      {module, name, arity, first, Exception.message(error) |> String.slice(0, 200)}
+  catch
+    :exit, _ -> nil
+  end
+
+  defp message(fun), do: fun |> assert_raised() |> Exception.message()
+
+  defp assert_raised(fun) do
+    fun.()
+    flunk("nothing was raised")
+  rescue
+    error in ArgumentError -> error
+  end
+
+  test "it says what to write" do
+    assert message(fn -> Situ.map(handle(), & &1) end) =~
+             ~r/^Situ.map takes a stream .*, not a pipeline .*Situ.source\(p, Camera\), then Situ.map\(stream/
+
+    assert message(fn -> Situ.via(handle(), Some.Component) end) =~
+             "Situ.via(stream, Some.Component)"
+
+    assert message(fn -> Situ.source(stream(), Camera) end) =~ "stream.pipeline"
+    assert message(fn -> Situ.map(%{left: stream()}, & &1) end) =~ "stream = streams.left"
+    assert message(fn -> Situ.inspect(report()) end) =~ "Situ.Diagnostics.format(report.snapshot)"
+    assert message(fn -> Situ.inspect(fn p -> p end) end) =~ "Situ.Pipeline.start(build)"
+    assert message(fn -> Pipeline.info({:ok, self()}) end) =~ "take it out first"
+    assert message(fn -> Situ.to_list(stream()) end) =~ "a function that builds a pipeline"
+    assert message(fn -> Pipeline.remove(self(), :side) end) =~ ~s|(p, "Side")|
+  end
+
+  test "a policy by a name, right or nearly right" do
+    build = fn policy ->
+      fn p -> p |> Situ.from_enumerable([], every: 1) |> Situ.map(& &1, policy: policy) end
+    end
+
+    for {policy, fix} <- [
+          latest: "did you mean Situ.Delivery.latest()?",
+          lastest: "did you mean Situ.Delivery.latest()?",
+          trottle: "did you mean Situ.Delivery.throttle()?"
+        ] do
+      assert {:error, %{code: :bad_option, fix: ^fix}} = Pipeline.run(build.(policy))
+    end
+
+    assert {:error, %{fix: "did you mean Situ.Delivery.max_queue(5)?"}} =
+             Pipeline.run(build.({:max_queue, 3}))
+  end
+end
