@@ -27,6 +27,7 @@ defmodule Situ.Remote do
   """
   alias Situ.{Delivery, Error, Options, Pipeline}
   alias Situ.Remote.{Address, Confirmation, Connection, Position, Rendezvous, Serving, Source}
+  alias Situ.Remote.Link.Handshake
   alias Situ.Remote.Origin.Versions
   alias Situ.Store.{Folder, TypeName}
 
@@ -132,7 +133,7 @@ defmodule Situ.Remote do
       Connection.start(
         address,
         %{
-          token: opts[:token],
+          token: Handshake.hide(opts[:token]),
           tls: opts[:tls],
           now: opts[:now] || (&Situ.Time.now/0),
           position: position,

@@ -17,7 +17,7 @@ defmodule Situ.Remote.Access do
     tls: [type: :keyword, default: [], doc: "Options of `:ssl` for `situs://`."]
   ]
 
-  @type t :: %{token: String.t(), tls: keyword()}
+  @type t :: %{token: Situ.Remote.Link.Handshake.token(), tls: keyword()}
 
   @doc "Errors: those of options, `:no_token` for a file that cannot be read."
   @spec new(Address.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}

@@ -4,7 +4,7 @@ defmodule Situ.Remote.Serving do
   # machines.
   alias Situ.{Certificate, Error, Options, Pipeline}
   alias Situ.Remote.{Address, Server}
-  alias Situ.Remote.Link.Quota
+  alias Situ.Remote.Link.{Handshake, Quota}
   alias Situ.Remote.Origin.Recording
   alias Situ.Store.{Exporter, Folder, Formats, Handle, Reading}
 
@@ -119,7 +119,7 @@ defmodule Situ.Remote.Serving do
       interface: opts[:interface],
       transport: if(opts[:tls], do: :tls, else: :tcp),
       fingerprint: fingerprint(opts),
-      token: if(is_binary(opts[:token]), do: opts[:token], else: ""),
+      token: Handshake.hide(if(is_binary(opts[:token]), do: opts[:token], else: "")),
       quota: Quota.new(opts[:quota]),
       now: opts[:now] || (&Situ.Time.now/0),
       path: opts[:unix]

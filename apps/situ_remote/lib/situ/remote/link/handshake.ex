@@ -53,12 +53,23 @@ defmodule Situ.Remote.Link.Handshake do
     end
   end
 
+  @typedoc "A token; where processes keep it, as a function, which no log and no `:sys.get_state/1` shows."
+  @type token :: String.t() | (() -> String.t())
+
+  @doc "Hides a token from whatever prints it."
+  @spec hide(token()) :: token()
+  def hide(token) when is_binary(token), do: fn -> token end
+  def hide(token) when is_function(token, 0), do: token
+
   @doc "The proof of `role` that it knows the token."
-  @spec proof(String.t(), role(), server_nonce :: binary(), client_nonce :: binary()) :: binary()
+  @spec proof(token(), role(), server_nonce :: binary(), client_nonce :: binary()) :: binary()
+  def proof(token, role, server_nonce, client_nonce) when is_function(token, 0),
+    do: proof(token.(), role, server_nonce, client_nonce)
+
   def proof(token, role, server_nonce, client_nonce),
     do: :crypto.mac(:hmac, :sha256, token, ["situ-link-#{role}", server_nonce, client_nonce])
 
-  @spec proves?(String.t(), role(), binary(), binary(), binary()) :: boolean()
+  @spec proves?(token(), role(), binary(), binary(), binary()) :: boolean()
   def proves?(token, role, server_nonce, client_nonce, shown),
     do: :crypto.hash_equals(proof(token, role, server_nonce, client_nonce), shown)
 

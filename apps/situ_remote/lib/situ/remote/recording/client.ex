@@ -58,7 +58,7 @@ defmodule Situ.Remote.Recording.Client do
   end
 
   defp find(address, access) do
-    key = {address, access}
+    key = {address, %{access | token: Handshake.hide(access.token)}}
 
     case Registry.whereis_name({@registry, key}) do
       :undefined ->
