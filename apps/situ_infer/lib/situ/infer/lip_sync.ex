@@ -127,7 +127,7 @@ defmodule Situ.Infer.LipSync do
   defp loudness(%{level: level}) when level > 0.0, do: :math.pow(level, @compress)
   defp loudness(_voice), do: 0.0
 
-  # What is heard nearest to a time, `nil` where there is nothing.
+  # Returns the voice nearest to a time, `nil` where there is none within 40 ms.
   defp nearest(voices, time), do: nearest(voices, time, 0, tuple_size(voices))
 
   defp nearest(voices, time, low, high) when low < high do

@@ -15,8 +15,8 @@ defmodule Situ.Media.Recording.Pictures do
   @back 24
   # A replay and a person who looks elsewhere.
   @decoders 2
-  # What a decoder costs, about: its start, and for each pixel of a picture that it skips (decoded only) or hands over
-  # (converted to BGR and sent).
+  # The costs of a decoder, about: its start, and each pixel of a picture that it skips (decoded only) or hands over
+  # (converted to BGR and sent, too).
   @start_ns 80_000_000
   @skip_ns 1.5
   @read_ns 6.0
