@@ -84,9 +84,27 @@ defmodule Situ.Quaternion do
     {vx + w * tx + y * tz - z * ty, vy + w * ty + z * tx - x * tz, vz + w * tz + x * ty - y * tx}
   end
 
-  @doc "Unit length restored; `:error` for a quaternion too short to be a rotation."
+  @large 1.0e100
+
+  @doc """
+  Returns the quaternion with unit length; `:error` for one too short to be a rotation.
+
+      iex> Situ.Quaternion.normalize({3.0e200, 0.0, 4.0e200, 0.0})
+      {:ok, {0.6, 0.0, 0.8, 0.0}}
+  """
   @spec normalize(t()) :: {:ok, t()} | :error
-  def normalize({w, x, y, z}) do
+  def normalize({w, x, y, z} = q) do
+    case max(max(abs(w), abs(x)), max(abs(y), abs(z))) do
+      # The squares of such numbers are out of range.
+      largest when largest > @large ->
+        normalize_length({w / largest, x / largest, y / largest, z / largest})
+
+      _ ->
+        normalize_length(q)
+    end
+  end
+
+  defp normalize_length({w, x, y, z}) do
     case :math.sqrt(w * w + x * x + y * y + z * z) do
       length when length < 1.0e-12 -> :error
       length -> {:ok, {w / length, x / length, y / length, z / length}}

@@ -44,6 +44,8 @@ defmodule Situ.Vector3 do
   @spec distance(t(), t()) :: float()
   def distance(a, b), do: a |> subtract(b) |> norm()
 
+  @large 1.0e100
+
   @doc """
   The vector of length 1 in the same direction; `:error` for a vector too short to have one (below 1e-12).
 
@@ -51,9 +53,22 @@ defmodule Situ.Vector3 do
       {:ok, {0.0, 0.0, 1.0}}
       iex> Situ.Vector3.normalize({0.0, 0.0, 0.0})
       :error
+      iex> Situ.Vector3.normalize({3.0e200, 0.0, -4.0e200})
+      {:ok, {0.6000000000000001, 0.0, -0.8}}
   """
   @spec normalize(t()) :: {:ok, t()} | :error
-  def normalize(v) do
+  def normalize({x, y, z} = v) do
+    case max(abs(x), max(abs(y), abs(z))) do
+      # The squares of such numbers are out of range.
+      largest when largest > @large ->
+        normalize_length({x / largest, y / largest, z / largest})
+
+      _ ->
+        normalize_length(v)
+    end
+  end
+
+  defp normalize_length(v) do
     case norm(v) do
       length when length < 1.0e-12 -> :error
       length -> {:ok, scale(v, 1 / length)}

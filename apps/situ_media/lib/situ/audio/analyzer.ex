@@ -70,6 +70,7 @@ defmodule Situ.Audio.Analyzer do
 
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Media.Kernel
+  alias Situ.Sound.Channels
 
   @enforce_keys [:native, :format, :config, :wanted]
   defstruct [:native, :format, :config, :wanted]
@@ -143,7 +144,10 @@ defmodule Situ.Audio.Analyzer do
   def analyze(%__MODULE__{format: format} = a, %AudioBuffer{format: format} = buffer, first) do
     # About 10 us a frame.
     frames = div(AudioBuffer.frames(buffer), a.config.shift)
-    Kernel.sound({:analyze, a.native, buffer.data, first, a.wanted}, frames * 10)
+
+    {:analyze, a.native, buffer.data, first, a.wanted}
+    |> Kernel.sound(frames * 10)
+    |> Channels.name_bad_samples(buffer, "analyze")
   end
 
   # The component

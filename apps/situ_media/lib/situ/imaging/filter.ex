@@ -66,7 +66,8 @@ defmodule Situ.Imaging.Filter do
   end
 
   @doc """
-  Strength of edges of a `:gray8` picture: half the sum of the absolute Sobel 3x3 derivatives.
+  Strength of edges of a `:gray8` picture: the mean of the two absolute Sobel 3x3 derivatives, each of which is cut off
+  at 255 before (as OpenCV's `convertScaleAbs` and `addWeighted` do it in 8 bits).
 
       iex> step = Situ.Imaging.fill_rectangle!(Situ.Image.filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
       iex> step |> Situ.Imaging.sobel!() |> Situ.Imaging.crop!({0, 4, 8, 1}) |> Situ.Image.pixels()

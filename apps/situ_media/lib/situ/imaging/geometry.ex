@@ -95,6 +95,8 @@ defmodule Situ.Imaging.Geometry do
 
   `filter:` `:bilinear` (default; two by two pixels, what OpenCV calls INTER_LINEAR), `:nearest`, `:bicubic`, `:area`
   (mean of the pixels covered), `:smooth` (bilinear over all pixels covered: shrinks without jagged edges), `:lanczos`.
+  Filters that overshoot (`:bicubic`, `:lanczos`) are cut off at 0 and 255 after each of their two passes, as Pillow
+  does it: at hard edges they differ from OpenCV, which cuts off once.
 
       iex> {:ok, small} = Situ.Imaging.resize(Situ.Image.filled(64, 48, :bgr24, [1, 2, 3]), 32, 24)
       iex> {small, Situ.Image.fetch_pixel(small, 31, 23)}

@@ -147,9 +147,40 @@ defmodule Situ.Sound.Channels do
   def level(%AudioBuffer{} = buffer) do
     with {:ok, buffer} <- AudioBuffer.validate(buffer),
          {:ok, channels} <-
-           Kernel.sound({:levels, buffer.data, layout(buffer.format)}, cost(buffer)),
+           Kernel.sound({:levels, buffer.data, layout(buffer.format)}, cost(buffer))
+           |> name_bad_samples(buffer, "levels"),
          do: {:ok, Situ.Audio.Level.new(channels)}
   end
+
+  @doc false
+  # A result that is not a number cannot come back from a kernel: then the fault is in the samples.
+  @spec name_bad_samples({:ok, term()} | {:error, Error.t()}, AudioBuffer.t(), String.t()) ::
+          {:ok, term()} | {:error, Error.t()}
+  def name_bad_samples({:error, %Error{code: :bad_option} = error}, buffer, operation) do
+    case not_a_number(buffer.data, buffer.format.sample, 0) do
+      nil ->
+        {:error, error}
+
+      sample ->
+        {:error,
+         Error.new(:bad_audio, "#{operation}: sample #{sample} is not a number",
+           why: "the sound holds NaN or infinity, as of a division by zero",
+           fix: "mend the source of the sound; samples of #{buffer.format.sample} are -1.0 to 1.0"
+         )}
+    end
+  end
+
+  def name_bad_samples(result, _buffer, _operation), do: result
+
+  # The number of the first sample that matches no float.
+  defp not_a_number(<<_::float-little-32, rest::binary>>, :f32, n),
+    do: not_a_number(rest, :f32, n + 1)
+
+  defp not_a_number(<<_::float-little-64, rest::binary>>, :f64, n),
+    do: not_a_number(rest, :f64, n + 1)
+
+  defp not_a_number(<<_, _::binary>>, sample, n) when sample in [:f32, :f64], do: n
+  defp not_a_number(_data, _sample, _n), do: nil
 
   @doc """
   The waveform, as `Situ.AudioBuffer.points/2` gives it, made by a kernel: for whole films.

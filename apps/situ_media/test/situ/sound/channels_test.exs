@@ -1,4 +1,18 @@
 defmodule Situ.Sound.ChannelsTest do
   use ExUnit.Case, async: true
+  alias Situ.{AudioBuffer, AudioFormat, Sound}
+
   doctest Situ.Sound.Channels
+
+  test "sound with a sample that is not a number is told by that sample" do
+    for {sample, good, bad} <- [
+          {:f32, <<0.5::float-little-32>>, <<0, 0, 0xC0, 0x7F>>},
+          {:f64, <<0.5::float-little-64>>, <<0, 0, 0, 0, 0, 0, 0xF0, 0x7F>>}
+        ] do
+      format = %AudioFormat{rate: 8000, channels: 1, sample: sample}
+      buffer = %AudioBuffer{format: format, data: good <> good <> bad <> good}
+      assert {:error, %{code: :bad_audio, what: what, why: why}} = Sound.level(buffer)
+      assert what =~ "sample 2 is not a number" and why =~ "NaN"
+    end
+  end
 end
