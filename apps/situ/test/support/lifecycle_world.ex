@@ -114,7 +114,7 @@ defmodule Situ.Fixture.LifecycleWorld do
     if ids == [], do: world, else: stop_part(world, ids, [])
   end
 
-  # What is removed may have ended before, in part or as a whole.
+  # A part that is removed may have ended before, as a whole or some of it.
   defp happen({:wish, {:remove, ids}}, world) do
     growing = for {_, growth} <- world.life.growths, id <- growth.ids, do: id
     there? = &(&1 in world.entries and &1 not in world.forgotten and &1 not in growing)
@@ -223,7 +223,7 @@ defmodule Situ.Fixture.LifecycleWorld do
     end)
   end
 
-  # What the server does with a stage it does with one that it has.
+  # The server does nothing with a stage that it does not have.
   defp addressed!({what, ids}, world) when what in [:spawn, :start, :run, :shutdown, :kill],
     do: known!(what, List.wrap(ids), world)
 

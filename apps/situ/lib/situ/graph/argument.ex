@@ -1,12 +1,12 @@
 defmodule Situ.Argument do
   @moduledoc false
-  # What a public function says when its first argument is not of the kind that it takes: what it was given, what it
-  # takes, what to write. The one home of these texts.
+  # The one home of the texts with which a public function refuses an argument: they say what it takes, what it was given
+  # and what to write.
   alias Situ.Graph.Handle
   alias Situ.{Node, Stream}
 
   @typedoc """
-  What a function takes: a stream, a pipeline that is being built, one that runs, a function that builds one, a node, or
+  The kind that a function takes: a stream, a pipeline that is being built, one that runs, a function that builds one, a node, or
   something else in words.
   """
   @type kind :: :stream | :streams | :handle | :target | :build | :node | String.t()
@@ -42,7 +42,7 @@ defmodule Situ.Argument do
   defp given(%Handle{}), do: "a pipeline (the p of build)"
   defp given(%Stream{}), do: "a stream and what came with it"
   defp given(%Node{path: path}), do: "the node #{path}"
-  defp given(%Situ.Pipeline.Report{}), do: "the report of a pipeline that has ended"
+  defp given(%_{snapshot: _}), do: "the report of a pipeline that has ended"
   defp given({:ok, value}), do: "{:ok, ...} with #{given(value)}"
   defp given(%module{}), do: "a %#{inspect(module)}{}"
   defp given(%{} = map) when map_size(map) > 0, do: map(map)
@@ -75,7 +75,7 @@ defmodule Situ.Argument do
   defp hint({:ok, _}, _kind, example),
     do: "take it out first: {:ok, value} = ..., then #{example}"
 
-  defp hint(%Situ.Pipeline.Report{}, :target, _example),
+  defp hint(%_{snapshot: _}, :target, _example),
     do: "print what it was like with IO.puts(Situ.Diagnostics.format(report.snapshot))"
 
   defp hint(fun, :target, example) when is_function(fun),

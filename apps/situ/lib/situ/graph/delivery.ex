@@ -143,7 +143,7 @@ defmodule Situ.Delivery do
   }
 
   @doc """
-  What to write instead of something that is no policy, or `nil`.
+  Returns the call to write instead of something that is not a policy, or `nil`.
 
       iex> Situ.Delivery.suggest(:lastest)
       "did you mean Situ.Delivery.latest()?"

@@ -39,10 +39,10 @@ defmodule Situ.Pipeline do
 
   ## Compiling again
 
-  When the module of a running pipeline is compiled again (`r Lobby` in IEx), its operators go on with the new functions
-  and the state that they have, also while the pipeline starts. It takes some 50 ms, more on a busy machine. The VM keeps
-  two versions of a module: who compiles twice within that time ends the pipeline with a `BadFunctionError`. Functions
-  given as `&Module.name/1` are always the newest and have no such limit.
+  When the module of a running pipeline is compiled again (`r Lobby` in IEx), its operators take the new functions and
+  keep their state, also while the pipeline starts. It takes some 50 ms, and longer on a busy machine. The VM keeps two
+  versions of a module: compiling it twice within that time ends the pipeline with a `BadFunctionError`. Functions given
+  as `&Module.name/1` are always the newest and have no such limit.
 
   ## Building from outside
 
@@ -127,7 +127,8 @@ defmodule Situ.Pipeline do
   `catch_up: 0` it ends where it is. `timeout:` bounds the wait of the caller, not the stop.
 
   Returns the report when all is done, to every caller that asks before it has ended;
-  `{:error, %Situ.Error{code: :not_running}}` when it had ended already. Called from inside one of the pipeline's own components it returns `:ok` at once, and the pipeline stops later.
+  `{:error, %Situ.Error{code: :not_running}}` when it had ended already. Called from inside one of the pipeline's own
+  components it returns `:ok` at once, and the pipeline stops later.
   """
   @spec stop(target(), keyword()) :: result() | :ok
   def stop(p, opts \\ []), do: Client.stop(p, opts)

@@ -153,7 +153,7 @@ defmodule Situ.Pipeline.State do
     end
   end
 
-  @typedoc "What is to be stopped: its stages that run, and the stages that are to be forgotten when they have ended."
+  @typedoc "A part to stop: the ids of its running stages, and of the stages to forget when they have ended."
   @type part :: %{ids: [pos_integer()], forget: [pos_integer()]}
 
   @doc """

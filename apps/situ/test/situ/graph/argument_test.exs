@@ -77,8 +77,8 @@ defmodule Situ.ArgumentTest do
              )
   end
 
-  # The message of an error that does not tell a person what to write. What the right first argument came with may be
-  # refused by the process behind the handle.
+  # The message of an error that does not tell a person what to write. The process behind the handle may refuse the rest
+  # of the arguments.
   defp slip({module, name, arity}, first) do
     apply(module, name, [first | List.duplicate([], arity - 1)])
     nil
