@@ -84,8 +84,13 @@ defmodule Situ.CLI.Option do
   end
 
   def read(%__MODULE__{type: :time} = option, text) do
-    with :error <- whole(text), {:error, _} <- Situ.Time.parse(text) do
-      refuse(option, "a time like 2026-01-31T12:34:56.789Z, or nanoseconds since 1970", text)
+    with :error <- whole(text), {:error, _} <- text |> complete_time() |> Situ.Time.parse() do
+      refuse(
+        option,
+        "a time like 2026-01-31T12:34:56.789Z (or 2026-01-31T12:34, or 2026-01-31 for its midnight; all of them " <>
+          "UTC unless a zone like +02:00 is given), or nanoseconds since 1970",
+        text
+      )
     end
   end
 
@@ -100,6 +105,25 @@ defmodule Situ.CLI.Option do
 
   def read(%__MODULE__{type: words} = option, text) when is_list(words) do
     if text in words, do: {:ok, text}, else: refuse(option, Enum.join(words, ", "), text)
+  end
+
+  @doc """
+  A time with what people leave out: `2026-01-31` is its midnight, `2026-01-31T12:34` has no seconds.
+
+      iex> Situ.CLI.Option.complete_time("2026-01-31")
+      "2026-01-31T00:00:00"
+      iex> Situ.CLI.Option.complete_time("2026-01-31 12:34+02:00")
+      "2026-01-31T12:34:00+02:00"
+  """
+  @spec complete_time(String.t()) :: String.t()
+  def complete_time(text) do
+    case Regex.run(~r/\A(\d{4}-\d\d-\d\d)(?:[T ](\d\d:\d\d))?(Z|[+-]\d\d:?\d\d)?\z/, text) do
+      [_, date] -> date <> "T00:00:00"
+      [_, date, time] -> date <> "T" <> time <> ":00"
+      [_, date, "", zone] -> date <> "T00:00:00" <> zone
+      [_, date, time, zone] -> date <> "T" <> time <> ":00" <> zone
+      nil -> text
+    end
   end
 
   defp whole(text) do

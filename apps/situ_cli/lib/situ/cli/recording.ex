@@ -38,7 +38,12 @@ defmodule Situ.CLI.Recording do
   @doc "Bytes on the disk."
   @spec size(Path.t()) :: non_neg_integer()
   def size(path) do
-    files = if File.dir?(path), do: Path.wildcard(Path.join(path, "*")), else: [path]
+    # Not by Path.wildcard/1: names may be bytes that are not text.
+    files =
+      case File.ls(path) do
+        {:ok, names} -> Enum.map(names, &Path.join(path, &1))
+        {:error, _} -> [path]
+      end
 
     files
     |> Enum.map(fn file ->

@@ -117,6 +117,14 @@ defmodule Situ.CLI.StoreTest do
     refute File.exists?(String.trim(renamed))
   end
 
+  test "messages of all streams, or of those of a pattern", %{path: path} do
+    {0, text} = run(["messages", path, "-n", "0"])
+    assert text |> String.split("\n", trim: true) |> length() == 110
+    assert text =~ "Words  " and text =~ "Room.Level  "
+    {0, text} = run(["messages", path, "-s", "Room.*", "-n", "0"])
+    assert text |> String.split("\n", trim: true) |> length() == 100
+  end
+
   test "messages", %{path: path} do
     {0, text} = run(["messages", path, "-s", "Words", "-n", "2", "--from", "15000000000"])
     assert [first, _] = String.split(text, "\n", trim: true)
@@ -148,7 +156,6 @@ defmodule Situ.CLI.StoreTest do
           {["info", path, "--strem", "x"], 2, "did you mean --stream"},
           {["info", path, "--stream"], 2, "needs a value"},
           {["info", path, "-s", "a", "-s", "b"], 2, "given twice"},
-          {["messages", path], 2, "which stream"},
           {["messages", path, "-s", "Words", "-n", "some"], 2, "whole number"},
           {["crop", path, path <> "y"], 2, "to what"},
           {["crop", path, path <> "y", "--start", "soon"], 2, "span of time"},
@@ -397,15 +404,118 @@ defmodule Situ.CLI.StoreTest do
     refute Store.exists?(out)
   end
 
-  test "an interval without messages is told of; streams are chosen by patterns", %{
+  test "an interval without messages is refused; streams are chosen by patterns", %{
     path: path,
     tmp_dir: root
   } do
     out = Path.join(root, "out")
-    argv = ["crop", path, out, "--start", "1h"]
-    assert capture_io(:stderr, fn -> assert {0, _} = run(argv) end) =~ "empty"
+    said = refused(["crop", path, out, "--start", "1h"])
+    assert said =~ "no message lies between 1970-01-01T01:00" and said =~ "goes from 1970"
+    assert refused(["copy", path, out, "--from", "2020-01-01"]) =~ "between 2020-01-01T00:00:00"
+    assert Store.newest("out", root) == nil
     {0, made} = run(["copy", path, out, "-s", "Room.*"])
     assert [%{name: "Room.Level"}] = made |> String.trim() |> Store.open!() |> Store.streams()
+  end
+
+  test "a date is a time, and of a gap split makes no part", %{path: path, tmp_dir: root} do
+    out = Path.join(root, "day")
+    {0, made} = run(["crop", path, out, "--from", "1970-01-01", "--to", "1970-01-01 00:01"])
+    assert length(values(String.trim(made), "Room.Level")) == 61
+    {:ok, writer} = Writer.create("gap", root)
+    {:ok, stream} = Writer.stream(writer, "S")
+    {:ok, _} = Writer.append(stream, for(i <- [0, 1, 25], do: message(i, i)))
+    :ok = Writer.close(writer)
+    {0, parts} = run(["split", writer.path, Path.join(root, "part"), "--every", "10s"])
+
+    assert parts |> String.split() |> Enum.map(&Path.basename/1) ==
+             ~w(part-001.0000 part-003.0000)
+  end
+
+  test "compact, in place", %{path: path, tmp_dir: root} do
+    folder = Store.open!(path).path
+    {0, text} = run(["compact", folder])
+    assert text =~ folder and text =~ "before"
+    assert values(path, "Room.Level") == Enum.to_list(0..99)
+    assert [%{"path" => ^folder, "size" => _}] = json(["compact", path, "--json"])
+    assert Enum.filter(File.ls!(root), &(&1 =~ "lobby")) == ["lobby.0000"]
+    assert refused(["compact", Path.join(root, "gone")]) =~ "no store"
+  end
+
+  test "a store is called as its folder is", %{path: path} do
+    {0, made} = run(["rename", path, "entrance"])
+    made = String.trim(made)
+    assert [%{"name" => "entrance"}] = json(["info", made, "--json"])
+    assert elem(run(["info", made]), 1) =~ ~r/\Aentrance /
+    moved = made |> Path.dirname() |> Path.join("hall.0007")
+    File.rename!(made, moved)
+    assert [%{"name" => "hall"}] = json(["info", moved, "--json"])
+  end
+
+  test "names of files may be bytes that are no text", %{path: path, tmp_dir: root} do
+    folder = Path.join(root, <<"caf", 0xE9>>)
+
+    case File.mkdir(folder) do
+      :ok ->
+        {0, made} = run(["copy", path, Path.join(folder, "x")])
+        assert made =~ "caf\\xE9/x.0000"
+        assert File.ls!(folder) == ["x.0000"]
+        assert values(Path.join(folder, "x"), "Room.Level") == Enum.to_list(0..99)
+        {0, _} = run(["info", Path.join(folder, "x")])
+        assert [%{"closed" => true}] = json(["info", Path.join(folder, "x"), "--json"])
+
+      # A file system whose names are text.
+      {:error, _} ->
+        :ok
+    end
+  end
+
+  test "a store whose catalog was made up is an error or is shown, never a fault", %{
+    tmp_dir: root
+  } do
+    odd = [1.0e300, 12_345_678_901_234_567_890_123, "text", %{}, [1], nil]
+
+    records =
+      for value <- odd do
+        [
+          %{kind: "closed", id: 1, time: value},
+          %{kind: "stream", id: 2, name: "B", type: value, opened: value},
+          %{kind: "codec", id: 1, number: value, name: "c"},
+          %{kind: "metadata", id: 1, type: value, term: Base.encode64("no term")},
+          %{kind: "fields", id: 1, module: value, fields: value},
+          %{kind: "store", name: value},
+          %{kind: "piece", every: value, full: value}
+        ]
+      end
+
+    {:ok, writer} = Writer.create("odd", root)
+    {:ok, stream} = Writer.stream(writer, "A", type: :integer)
+    {:ok, _} = Writer.append(stream, for(i <- 1..3, do: message(i, i)))
+    for record <- Enum.concat(records), do: {:ok, _} = Writer.catalog(writer, record)
+    :ok = Writer.close(writer)
+    out = Path.join(root, "out")
+
+    for {verb, args} <- [
+          {"info", []},
+          {"info", ["--json"]},
+          {"info", ["-s", "A"]},
+          {"info", ["-s", "A", "--json"]},
+          {"info", ["-s", "B", "--json"]},
+          {"messages", ["-s", "A"]},
+          {"stats", []},
+          {"copy", [out]},
+          {"crop", [out, "--start", "0s", "--length", "5s"]},
+          {"edit", [out, "--delete", "A@1000000000"]},
+          {"save", [Path.join(root, "a.csv"), "-s", "A"]},
+          {"compact", []},
+          {"verify", []}
+        ] do
+      said =
+        capture_io(:stderr, fn ->
+          capture_io(fn -> Situ.CLI.run(["store", verb, writer.path | args]) end)
+        end)
+
+      refute said =~ "a fault in situ itself", "#{verb} #{Enum.join(args, " ")}: #{said}"
+    end
   end
 
   test "damage is an error of what reads, unless it is to be left out", %{

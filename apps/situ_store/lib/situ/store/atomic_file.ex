@@ -59,15 +59,20 @@ defmodule Situ.Store.AtomicFile do
   @spec sync_files(Path.t()) :: :ok | {:error, File.posix()}
   def sync_files(folder) do
     with {:ok, names} <- File.ls(folder),
-         nil <- Enum.find_value(names, &sync_error(Path.join(folder, &1))),
+         :ok <- sync_all(Enum.map(names, &Path.join(folder, &1))),
          do: sync_folder(folder)
   end
 
-  defp sync_error(path) do
+  defp sync_all([]), do: :ok
+  defp sync_all([path | paths]), do: with(:ok <- sync(path), do: sync_all(paths))
+
+  @doc "Brings a file to the disk."
+  @spec sync(Path.t()) :: :ok | {:error, File.posix()}
+  def sync(path) do
     with {:ok, device} <- :file.open(path, [:read, :raw, :binary]) do
       result = :file.sync(device)
       _ = :file.close(device)
-      if result != :ok, do: result
+      result
     end
   end
 

@@ -24,20 +24,27 @@ defmodule Situ.Store.Catalog do
     _, _ -> catalog
   end
 
+  # A catalog may come from anybody: a record counts when each of its values is what it is to be.
   defp record(%{"kind" => "store"} = r, catalog) do
-    %{catalog | name: r["name"], volatile?: r["volatile"] == true, writer: r["writer"]}
+    %{
+      catalog
+      | name: text(r["name"]),
+        volatile?: r["volatile"] == true,
+        writer: text(r["writer"])
+    }
   end
 
   defp record(%{"kind" => "stream", "id" => id, "name" => name} = r, catalog)
        when id in 1..@most and is_binary(name) do
-    {type, catalog} = type(r["type"], catalog)
+    type_name = text(r["type"]) || ":any"
+    {type, catalog} = type(type_name, catalog)
 
     info = %StreamInfo{
       id: id,
       name: name,
       type: type,
-      type_name: to_string(r["type"]),
-      opened: r["opened"],
+      type_name: type_name,
+      opened: if(time?(r["opened"]), do: r["opened"]),
       large?: r["large"] == true,
       compression: @compressions[r["compression"]] || :none
     }
@@ -45,25 +52,45 @@ defmodule Situ.Store.Catalog do
     put_in(catalog.streams[id], info)
   end
 
-  defp record(%{"kind" => "codec", "id" => id, "number" => number, "name" => name} = r, catalog),
-    do: update(catalog, id, &%{&1 | codecs: Map.put(&1.codecs, number, {name, r["module"]})})
+  defp record(%{"kind" => "codec", "id" => id, "number" => number, "name" => name} = r, catalog)
+       when number in 1..0xFFFF and is_binary(name) do
+    update(catalog, id, &%{&1 | codecs: Map.put(&1.codecs, number, {name, text(r["module"])})})
+  end
 
-  defp record(%{"kind" => "fields", "id" => id} = r, catalog) do
+  defp record(%{"kind" => "fields", "id" => id, "fields" => fields} = r, catalog)
+       when is_list(fields) do
     update(catalog, id, fn info ->
-      if info.fields, do: info, else: %{info | module: r["module"], fields: r["fields"]}
+      if info.fields == nil and Enum.all?(fields, &is_binary/1),
+        do: %{info | module: text(r["module"]), fields: fields},
+        else: info
     end)
   end
 
-  defp record(%{"kind" => "metadata", "id" => id, "term" => term} = r, catalog),
-    do: update(catalog, id, &%{&1 | supplemental: {r["type"], Base.decode64!(term)}})
+  defp record(%{"kind" => "metadata", "id" => id, "term" => term} = r, catalog)
+       when is_binary(term) do
+    type = text(r["type"]) || ":any"
+    update(catalog, id, &%{&1 | supplemental: {type, Base.decode64!(term)}})
+  end
 
-  defp record(%{"kind" => "closed", "id" => id, "time" => time}, catalog),
-    do: update(catalog, id, &%{&1 | closed: time})
+  defp record(%{"kind" => "closed", "id" => id, "time" => time}, catalog) do
+    if time?(time), do: update(catalog, id, &%{&1 | closed: time}), else: catalog
+  end
 
-  defp record(%{"kind" => "piece"} = r, catalog),
-    do: %{catalog | piece: Map.merge(catalog.piece || %{}, Map.take(r, ["every", "full"]))}
+  defp record(%{"kind" => "piece"} = r, catalog) do
+    every = if is_integer(r["every"]) and r["every"] > 0, do: r["every"]
+    before = catalog.piece || %{every: nil, full?: false}
+    piece = %{every: every || before.every, full?: r["full"] == true or before.full?}
+    %{catalog | piece: piece}
+  end
 
   defp record(_, catalog), do: catalog
+
+  defp text(text) when is_binary(text), do: text
+  defp text(_), do: nil
+
+  # Times have 64 bits.
+  defp time?(time),
+    do: is_integer(time) and time in -0x8000000000000000..0x7FFFFFFFFFFFFFFF
 
   # Thousands of streams have few types.
   defp type(text, %{types: types} = catalog) when is_map_key(types, text),
@@ -71,7 +98,7 @@ defmodule Situ.Store.Catalog do
 
   defp type(text, catalog) do
     type =
-      case TypeName.read(text || ":any") do
+      case TypeName.read(text) do
         {:ok, type} -> type
         :error -> :any
       end

@@ -48,10 +48,14 @@ defmodule Situ.Store.Copying do
   def copy(from, to, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
          {:ok, store} <- Reading.open(from),
-         {:ok, sources} <- selected(sources(store), opts[:streams], store.path) do
+         {:ok, sources} <- selected(sources(store), opts[:streams], store.path),
+         :ok <- check_interval(sources, opts) do
       build(to, Enum.map(sources, fn {_, info} = source -> {info, [source]} end), opts)
     end
   end
+
+  @earliest -0x8000000000000000
+  @latest 0x7FFFFFFFFFFFFFFF
 
   @compact_options @options
                    |> Keyword.take([:compression, :progress, :durability])
@@ -100,7 +104,7 @@ defmodule Situ.Store.Copying do
 
   @doc """
   Cuts an interval out: `from:` and `to:` (times), or `start:` and `length:` (ns from the store's first message). Else
-  as `copy/3`.
+  as `copy/3`. Error: `:empty_interval` when no message lies in it.
   """
   @spec crop(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
@@ -140,9 +144,45 @@ defmodule Situ.Store.Copying do
              name <- names,
              do: in_time(Enum.filter(named, fn {_, info} -> info.name == name end))
            ),
-         :ok <- check(parts) do
+         :ok <- check(parts),
+         :ok <- check_interval(named, opts) do
       build(to, parts, opts)
     end
+  end
+
+  # A recording of nothing is most likely a mistaken time.
+  defp check_interval(sources, opts) do
+    wanted = {opts[:from] || @earliest, opts[:to] || @latest}
+    infos = for {_, info} <- sources, info.count > 0, do: info
+
+    cond do
+      opts[:from] == nil and opts[:to] == nil -> :ok
+      infos == [] -> :ok
+      Enum.any?(sources, &any_within?(&1, wanted)) -> :ok
+      true -> {:error, empty_interval(infos, wanted)}
+    end
+  end
+
+  defp any_within?({_, %{count: 0}}, _wanted), do: false
+
+  defp any_within?({store, info}, {from, to}) do
+    case Reading.first_at(store, info, from) do
+      {:ok, nil} -> false
+      {:ok, message} -> message.originating_time <= to
+      # Damage is the copy's to report.
+      {:error, _} -> true
+    end
+  end
+
+  defp empty_interval(infos, {from, to}) do
+    first = infos |> Enum.map(& &1.first) |> Enum.min()
+    last = infos |> Enum.map(& &1.last) |> Enum.max()
+    [from, to, first, last] = Enum.map([from, to, first, last], &Situ.Time.to_iso8601/1)
+
+    Error.new(:empty_interval, "no message lies between #{from} and #{to}",
+      why: "the recording goes from #{first} to #{last}",
+      fix: "choose an interval within it"
+    )
   end
 
   defp sources(store), do: Enum.map(Reading.streams(store), &{store, &1})

@@ -75,7 +75,8 @@ defmodule Situ.Store.Exporter do
 
   @doc false
   @spec create(Pipeline.t(), String.t(), Path.t() | nil, keyword()) :: t()
-  def create(%Situ.Graph.Handle{} = p, name, root, opts) do
+  def create(%Situ.Graph.Handle{} = p, name, root, opts)
+      when is_binary(name) and (is_binary(root) or root == nil) and is_list(opts) do
     {root, opts} =
       if root in [nil, ""],
         do: {Volatile.root(), [{:volatile, true} | opts]},
@@ -87,6 +88,20 @@ defmodule Situ.Store.Exporter do
     if pieces[:split],
       do: in_pieces(p, {name, root, opts}, pieces[:split], pieces[:keep]),
       else: whole(p, name, root, opts)
+  end
+
+  def create(p, name, root, opts) do
+    wrong =
+      cond do
+        not is_struct(p, Situ.Graph.Handle) -> "the first argument is #{inspect(p, limit: 5)}"
+        not is_binary(name) -> "the name is #{inspect(name, limit: 5)}"
+        not (is_binary(root) or root == nil) -> "the folder is #{inspect(root, limit: 5)}"
+        true -> "the options are #{inspect(opts, limit: 5)}"
+      end
+
+    raise ArgumentError,
+          "Situ.Store.create/4 takes the pipeline, a name, a folder (nil: in memory) and options: #{wrong}\n" <>
+            ~s|  Write: Situ.Store.create(p, "lobby", "recordings")|
   end
 
   # `path` is the name without a version: its newest piece opens by it.
@@ -120,13 +135,31 @@ defmodule Situ.Store.Exporter do
   def write(nil, _exporter, _name, _opts), do: nil
   def write(%Stream{} = stream, nil, _name, _opts), do: stream
 
-  def write(%Stream{} = stream, %__MODULE__{} = exporter, name, opts) do
+  def write(%Stream{} = stream, %__MODULE__{} = exporter, name, opts) when is_binary(name) do
     opts = Options.validate!(opts, @write_options)
     type = opts[:type] || if(opts[:envelopes], do: :any, else: stream.type)
 
     if exporter.pieces,
       do: write_pieces(stream, exporter, name, of_stream(opts, type), opts),
       else: write_whole(stream, exporter, name, of_stream(opts, type), opts)
+  end
+
+  def write(stream, exporter, name, _opts) do
+    wrong =
+      cond do
+        not (is_struct(stream, Stream) or stream == nil) ->
+          "the stream is #{inspect(stream, limit: 5)}"
+
+        not (is_struct(exporter, __MODULE__) or exporter == nil) ->
+          "the store is #{inspect(exporter, limit: 5)}"
+
+        true ->
+          "the name is #{inspect(name, limit: 5)}"
+      end
+
+    raise ArgumentError,
+          "Situ.Store.write/4 takes a stream, what Situ.Store.create/4 returned, and a name: #{wrong}\n" <>
+            ~s|  Write: store = Situ.Store.create(p, "lobby", "recordings"); Situ.Store.write(stream, store, "Level")|
   end
 
   defp of_stream(opts, type) do

@@ -12,8 +12,8 @@ defmodule Situ.Store.FileLock do
       iex> File.exists?(path)
       false
 
-  The lock belongs to one process of this system, and ends with it; when the whole program dies, the operating system
-  takes it back. While it is held, its file tells who holds it: `t:holder/0`.
+  The lock belongs to one process of this system, and ends with it, or when nobody has its term any more; when the whole
+  program dies, the operating system takes it back. While it is held, its file tells who holds it: `t:holder/0`.
   """
   alias Situ.Error
   alias Situ.Store.{Failure, Native}

@@ -283,6 +283,17 @@ defmodule Situ.Store.Folder do
   @spec name(Path.t()) :: String.t()
   def name(path), do: path |> Path.basename() |> String.replace(~r/\.\d{4,}$/, "")
 
+  @doc """
+  The name of the store in a folder, of which its catalog says what it was called when it was made. A folder NAME.NNNN
+  says what it is called now, whoever renamed it; another one has any name.
+  """
+  @spec own_name(Path.t(), term()) :: String.t()
+  def own_name(path, made_as) do
+    if version(path) != nil or not (is_binary(made_as) and String.valid?(made_as)),
+      do: name(path),
+      else: made_as
+  end
+
   @doc "The version number of a store's folder, or `nil`."
   @spec version(Path.t()) :: non_neg_integer() | nil
   def version(path) do

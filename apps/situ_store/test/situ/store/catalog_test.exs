@@ -63,4 +63,47 @@ defmodule Situ.Store.CatalogTest do
     assert %{compression: :none} = catalog.streams[3]
     assert catalog.streams[1].supplemental == nil
   end
+
+  @odd [nil, true, -1, 0, 1.5, 1.0e300, 12_345_678_901_234_567_890_123, "text", "", "\e[2J"] ++
+         [[], [1], ["a"], %{}, %{"a" => 1}, "9", 1]
+
+  test "whatever a value is, what comes out of the catalog is what it is to be" do
+    records = [
+      %{"kind" => "store", "name" => "x", "writer" => "y", "volatile" => false},
+      %{"kind" => "stream", "id" => 1, "name" => "B", "type" => ":integer", "opened" => 5}
+      |> Map.merge(%{"large" => true, "compression" => "none"}),
+      %{"kind" => "codec", "id" => 1, "number" => 1, "name" => "c", "module" => "Elixir.C"},
+      %{"kind" => "fields", "id" => 1, "module" => "Elixir.M", "fields" => ["a"]},
+      %{"kind" => "metadata", "id" => 1, "type" => ":map", "term" => Base.encode64("x")},
+      %{"kind" => "closed", "id" => 1, "time" => 7},
+      %{"kind" => "piece", "every" => 10, "full" => true}
+    ]
+
+    for record <- records, key <- Map.keys(record), odd <- @odd do
+      catalog = parse([stream(1, "A"), Map.put(record, key, odd)])
+      said = "#{record["kind"]}.#{key}: #{inspect(odd)}"
+      assert text?(catalog.name) and text?(catalog.writer), said
+      assert is_boolean(catalog.volatile?), said
+      assert match?(nil, catalog.piece) or sound_piece?(catalog.piece), said
+      assert %{1 => _} = catalog.streams
+      for {id, info} <- catalog.streams, do: assert(sound?(id, info), said)
+    end
+  end
+
+  defp text?(value), do: value == nil or is_binary(value)
+  defp time?(value), do: value == nil or (is_integer(value) and abs(value) <= 0x8000000000000000)
+
+  defp sound_piece?(%{every: every, full?: full?}),
+    do: is_boolean(full?) and (every == nil or every > 0)
+
+  defp sound?(id, info) do
+    is_integer(id) and is_binary(info.name) and is_binary(info.type_name) and time?(info.opened) and
+      time?(info.closed) and is_boolean(info.large?) and text?(info.module) and
+      (info.fields == nil or Enum.all?(info.fields, &is_binary/1)) and
+      (info.supplemental == nil or
+         match?({t, b} when is_binary(t) and is_binary(b), info.supplemental)) and
+      Enum.all?(info.codecs, fn {n, {name, module}} ->
+        n in 1..0xFFFF and is_binary(name) and text?(module)
+      end)
+  end
 end

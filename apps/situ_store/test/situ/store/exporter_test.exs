@@ -6,6 +6,25 @@ defmodule Situ.Store.ExporterTest do
 
   @moduletag :tmp_dir
 
+  test "arguments in another order are an error that says the right one", %{tmp_dir: root} do
+    Pipeline.run(fn p ->
+      for args <- [["x", p, root], [p, :x, root], [p, "x", :here], [p, "x", root, :fast]] do
+        error = assert_raise ArgumentError, fn -> apply(Store, :create, args) end
+        assert error.message =~ ~s|Situ.Store.create(p, "lobby", "recordings")|
+      end
+
+      store = Store.create(p, "x", root)
+      numbers = Situ.from_enumerable(p, 1..2, every: 1)
+
+      for args <- [[store, numbers, "N"], [numbers, "N", store], [numbers, store, :n]] do
+        error = assert_raise ArgumentError, fn -> apply(Store, :write, args) end
+        assert error.message =~ "Situ.Store.write/4 takes a stream"
+      end
+
+      Store.write(numbers, store, "N")
+    end)
+  end
+
   test "a pipeline records, another replays the same messages", %{tmp_dir: root} do
     path = record(root, "rec", 0..4_999)
     store = Store.open!(path)

@@ -17,7 +17,7 @@ defmodule Situ.Store.FileLockTest do
         spawn(fn ->
           {:ok, lock} = FileLock.acquire(path)
           send(parent, {:held, self(), lock})
-          receive do: (:never -> :ok)
+          receive do: (:never -> FileLock.release(lock))
         end)
 
       # The lock's term lives on here: what counts is the process.

@@ -154,7 +154,7 @@ defmodule Situ.CLI.Store.Arguments do
   end
 
   defp time!(text) do
-    with :error <- whole(text), {:error, error} <- Time.parse(text) do
+    with :error <- whole(text), {:error, error} <- Time.parse(Option.complete_time(text)) do
       raise error
     else
       {:ok, time} -> time

@@ -1,8 +1,8 @@
 defmodule Situ.CLI.Store.Care do
-  @moduledoc "The verbs of `situ store` that look after a store where it lies: verify, repair, delete, rename."
+  @moduledoc "The verbs of `situ store` that look after a store where it lies: verify, repair, compact, delete, rename."
   @behaviour Situ.CLI.Verb
-  alias Situ.CLI.{Option, Output, Recording, Verb}
-  alias Situ.CLI.Store.Health
+  alias Situ.CLI.{Leftovers, Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.Store.{Arguments, Health}
   alias Situ.Store
 
   @store [kind: :recording, doc: "a store's folder, or ROOT/NAME for the newest NAME.NNNN"]
@@ -38,6 +38,26 @@ defmodule Situ.CLI.Store.Care do
         run: fn %{path: path} = arguments, opts -> Health.repair(path, arguments[:out], opts) end
       },
       %Verb{
+        words: ["store", "compact"],
+        summary: "rewrite a store in its place: full chunks of many small commits, no holes",
+        about: """
+        The recording is smaller and faster to read then; its messages stay as they are. It has its name at every moment,
+        so that a program killed meanwhile loses nothing; as much room as the store takes is needed on the disk. Not
+        while it is being written.
+        """,
+        arguments: [path: Keyword.put(@store, :many, true)],
+        options: [
+          Option.new(:compression, ["none", "lz4", "zstd"], "of all streams; default: unchanged"),
+          Option.new(
+            :skip_damage,
+            :flag,
+            "leave out what is damaged; without it that is an error"
+          )
+        ],
+        examples: ["situ store compact recordings/lobby.0000"],
+        run: fn %{path: paths}, opts -> compact(Recording.expand(paths), opts) end
+      },
+      %Verb{
         words: ["store", "delete"],
         summary: "delete a store (asks first)",
         arguments: [path: @store],
@@ -53,6 +73,28 @@ defmodule Situ.CLI.Store.Care do
       }
     ]
   end
+
+  defp compact(paths, opts) do
+    done =
+      for path <- paths do
+        folder = folder!(path)
+        Leftovers.remove_later(folder)
+        before = Recording.size(folder)
+        copying = Arguments.copying(opts, fn _, _ -> :ok end)
+
+        Progress.show("compact", opts, fn progress ->
+          ok!(Store.compact(folder, [progress: progress] ++ Keyword.delete(copying, :progress)))
+        end)
+
+        %{path: folder, before: before, size: Recording.size(folder)}
+      end
+
+    if opts[:json], do: Output.json(done), else: Enum.each(done, &tell_compacted/1)
+    0
+  end
+
+  defp tell_compacted(%{path: path, before: before, size: size}),
+    do: Output.puts("#{path}: #{Output.bytes(before)} before, #{Output.bytes(size)} now")
 
   defp rename(%{path: path, name: name}, opts) do
     path = ok!(Store.rename(path, name))

@@ -2,7 +2,7 @@ defmodule Situ.CLI.Store.Importing do
   @moduledoc "`situ store import` and `convert`: any file that is read into a store, or into any that is written."
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.Tables
-  alias Situ.CLI.{Input, Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.{Input, Leftovers, Option, Output, Progress, Recording, Verb}
   alias Situ.CLI.Store.{Arguments, Protobuf, Saving}
   alias Situ.{Error, Store}
 
@@ -92,6 +92,7 @@ defmodule Situ.CLI.Store.Importing do
   end
 
   defp import_files(%{path: paths, out: out}, opts) do
+    Leftovers.remove_later(out)
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
     paths = Recording.expand(paths)
     forced = opts[:format] && @formats[opts[:format]]

@@ -2,7 +2,7 @@ defmodule Situ.CLI.Store.Looking do
   @moduledoc "The verbs of `situ store` that only look: info, messages, stats, analyze, diff."
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Recording, Verb}
-  alias Situ.CLI.Store.{Contents, Difference, Info, Lag, Messages, Statistics}
+  alias Situ.CLI.Store.{Arguments, Contents, Difference, Info, Lag, Messages, Statistics}
   alias Situ.{Error, Store, Time}
 
   @recording [
@@ -49,7 +49,7 @@ defmodule Situ.CLI.Store.Looking do
           Option.new(
             :stream,
             :string,
-            "the stream; of several the messages come in the order of time",
+            "this stream, or a pattern ('Room.*'); of several, or of all without it, in the order of time",
             short: :s,
             value: "NAME",
             many?: true
@@ -63,7 +63,10 @@ defmodule Situ.CLI.Store.Looking do
             "leave out what is damaged; without it that is an error"
           )
         ],
-        examples: ["situ store messages recordings/lobby -s Lobby.Speaking -n 0 --json"],
+        examples: [
+          "situ store messages recordings/lobby",
+          "situ store messages recordings/lobby -s Lobby.Speaking -n 0 --json"
+        ],
         run: &messages/2
       },
       %Verb{
@@ -118,17 +121,10 @@ defmodule Situ.CLI.Store.Looking do
   end
 
   defp messages(%{path: path}, opts) do
-    if opts[:stream] == [],
-      do: throw({:usage, "which stream? Give --stream NAME"})
-
     if (opts[:number] || 0) < 0, do: throw({:usage, "--number is 0 or more"})
     store = Recording.open!(path)
-
-    for name <- opts[:stream],
-        {:error, error} <- [Store.stream_info(store, name)],
-        do: raise(error)
-
-    Messages.run(store, opts[:stream], opts)
+    names = for info <- Arguments.chosen!(store, opts), do: info.name
+    Messages.run(store, names, opts)
   end
 
   defp stats(%{path: path}, opts) do

@@ -3,7 +3,7 @@ defmodule Situ.CLI.Store.Making do
   The verbs of `situ store` that make a new recording out of others: copy, crop, concat, split, remove, edit.
   """
   @behaviour Situ.CLI.Verb
-  alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.{Leftovers, Option, Output, Progress, Recording, Verb}
   alias Situ.CLI.Store.{Arguments, Saving}
   alias Situ.{Error, Store}
 
@@ -13,8 +13,8 @@ defmodule Situ.CLI.Store.Making do
   ]
   @new [kind: :new, doc: "ROOT/NAME of the new store; it becomes NAME.NNNN"]
   @about """
-  The original is never changed. The new store has its name when it is whole: stopped half way (Ctrl-C), a
-  NAME.*.unfinished is left, which the next of that name removes.
+  The original is never changed. The new store has its name when it is whole and on the disk; stopped half way (Ctrl-C),
+  nothing of it is left.
   """
 
   @new_file [kind: :new, doc: "ROOT/NAME of the new store, or a file (.mcap, .bag, .csv ...)"]
@@ -48,7 +48,7 @@ defmodule Situ.CLI.Store.Making do
           run: fn %{path: paths, out: out}, opts ->
             store!("concat", out)
             paths = Recording.expand(paths)
-            made(paths, opts, &Store.concat(paths, out, copying(opts, &1)))
+            made(paths, out, opts, &Store.concat(paths, out, copying(opts, &1)))
           end
         },
         %Verb{
@@ -139,7 +139,7 @@ defmodule Situ.CLI.Store.Making do
   defp copy(%{path: path, out: out}, opts) do
     if Saving.format(out),
       do: Saving.save(%{path: path, file: out}, opts),
-      else: made([path], opts, &Store.copy(path, out, copying(opts, &1)))
+      else: made([path], out, opts, &Store.copy(path, out, copying(opts, &1)))
   end
 
   # These put together what only stores can hold.
@@ -180,21 +180,15 @@ defmodule Situ.CLI.Store.Making do
 
     if Saving.format(out),
       do: Saving.save(%{path: path, file: out}, Arguments.absolute!(path, opts)),
-      else: made([path], opts, &Store.crop(path, out, copying(opts, &1)))
+      else: made([path], out, opts, &Store.crop(path, out, copying(opts, &1)))
   end
 
-  defp made(paths, opts, make) do
+  defp made(paths, out, opts, make) do
     Recording.ready(paths)
+    Leftovers.remove_later(out)
     path = Progress.show("write", opts, fn progress -> ok!(make.(progress)) end)
     if opts[:json], do: Output.json(%{path: path}), else: Output.puts(path)
-    if opts[:from] || opts[:to] || opts[:start] || opts[:length], do: tell_empty(path)
     0
-  end
-
-  # Nothing wrong with an empty interval, but most likely somebody has mistaken the time.
-  defp tell_empty(path) do
-    if Store.interval(Store.open!(path)) == nil,
-      do: Output.warn("No message lies in that interval: the new store is empty.")
   end
 
   defp split(%{path: path, out: out}, opts) do
@@ -214,14 +208,22 @@ defmodule Situ.CLI.Store.Making do
   end
 
   defp parts(path, out, {first, last, every}, opts) do
-    for {from, n} <- Enum.with_index(first..last//every, 1) do
-      name = "#{out}-#{n |> Integer.to_string() |> String.pad_leading(3, "0")}"
+    for {from, n} <- Enum.with_index(first..last//every, 1),
+        name = "#{out}-#{n |> Integer.to_string() |> String.pad_leading(3, "0")}",
+        made = part(path, name, from: from, to: min(from + every - 1, last), opts: opts),
+        do: made
+  end
 
-      Progress.show("part #{n}", opts, fn progress ->
-        span = [from: from, to: min(from + every - 1, last)]
-        ok!(Store.copy(path, name, span ++ copying(opts, progress)))
-      end)
-    end
+  # Of a gap there is no part.
+  defp part(path, name, from: from, to: to, opts: opts) do
+    Leftovers.remove_later(name)
+
+    Progress.show(Path.basename(name), opts, fn progress ->
+      case Store.copy(path, name, [from: from, to: to] ++ copying(opts, progress)) do
+        {:error, %Error{code: :empty_interval}} -> nil
+        result -> ok!(result)
+      end
+    end)
   end
 
   defp remove(%{path: path, stream: unwanted}, opts) do
@@ -237,7 +239,7 @@ defmodule Situ.CLI.Store.Making do
             )
     end
 
-    made([path], opts, fn progress ->
+    made([path], out, opts, fn progress ->
       Store.copy(store.path, out, [streams: streams] ++ copying(opts, progress))
     end)
   end
@@ -252,6 +254,7 @@ defmodule Situ.CLI.Store.Making do
       edits ->
         made(
           [path],
+          out,
           opts,
           &Store.edit(path, out, edits, Arguments.damage(opts) ++ [progress: &1])
         )

@@ -2,9 +2,10 @@ defmodule Situ.CLI.Store.Saving do
   @moduledoc "`situ store save`: messages to files that other programs read."
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.{Arrow, Format, Mcap, Parquet, Ros}
-  alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.{Leftovers, Option, Output, Progress, Recording, Verb}
   alias Situ.CLI.Store.{Arguments, Protobuf}
   alias Situ.{Error, Store}
+  alias Situ.Store.AtomicFile
 
   @formats %{
     "arrow" => :arrow,
@@ -109,6 +110,7 @@ defmodule Situ.CLI.Store.Saving do
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
     store = Recording.open!(path)
     chosen = Arguments.chosen!(store, opts)
+    if file != "-", do: Leftovers.remove_file_later(file)
 
     saved =
       Progress.show("save", opts, fn progress ->
@@ -323,8 +325,13 @@ defmodule Situ.CLI.Store.Saving do
     renamed(path <> ".unfinished", path)
   end
 
+  # On the disk before it has its name: what it was made of may be deleted next.
   defp renamed(unfinished, path) do
-    with {:error, reason} <- File.rename(unfinished, path), do: raise(not_saved(path, reason))
+    with :ok <- AtomicFile.sync(unfinished), :ok <- AtomicFile.rename(unfinished, path) do
+      :ok
+    else
+      {:error, reason} -> raise not_saved(path, reason)
+    end
   end
 
   defp discard({:stdout, _}), do: :ok

@@ -41,7 +41,7 @@ defmodule Situ.Store.Local.Shelf do
   defp terms(ref, path) do
     {records, damage} = records(ref, 0, [], nil)
     catalog = Catalog.parse(records)
-    name = if is_binary(catalog.name), do: catalog.name, else: Folder.name(path)
+    name = Folder.own_name(path, catalog.name)
 
     streams =
       for {_, info} <- Enum.sort(catalog.streams),

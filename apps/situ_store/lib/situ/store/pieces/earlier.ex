@@ -40,9 +40,9 @@ defmodule Situ.Store.Pieces.Earlier do
   end
 
   # The last piece of a run is not whole: it counts for what is in it.
-  defp duration(%{"full" => true, "every" => every}, _store) when is_integer(every), do: every
+  defp duration(%{full?: true, every: every}, _store) when is_integer(every), do: every
 
-  defp duration(%{"every" => every}, store) when is_integer(every) do
+  defp duration(%{every: every}, store) when is_integer(every) do
     case Reading.interval(store) do
       nil -> 0
       {first, last} -> min(last - first, every)
