@@ -3,6 +3,10 @@ import { chromium } from "playwright-core";
 import { mkdirSync } from "node:fs";
 import { join } from "node:path";
 
+// How long something may take, in ms: much longer than it does, also where other programs keep the machine busy. It is
+// waited for as long only where a test fails.
+export const PATIENCE = 120_000;
+
 const tests = [];
 export const test = (name, run) => tests.push({ name, run });
 
@@ -21,10 +25,10 @@ export function near(actual, expected, by, what) {
     throw new Error(`${what}: expected ${expected} within ${by}, got ${actual}`);
 }
 
-// Waits until `probe` in the page is true.
-export async function until(page, probe, what, arg) {
+// Waits until `probe` in the page is true; it is asked every 30 ms, or with every picture ("raf").
+export async function until(page, probe, what, arg, polling = 30) {
   try {
-    await page.waitForFunction(probe, arg, { timeout: 30000, polling: 30 });
+    await page.waitForFunction(probe, arg, { timeout: PATIENCE, polling });
   } catch (error) {
     throw new Error(`waited in vain until ${what}: ${error.message.split("\n")[0]} at ${page.url()}`);
   }
@@ -74,6 +78,12 @@ export async function runAll({ filter = "", times = 1, shots }) {
       "--autoplay-policy=no-user-gesture-required",
     ],
   });
+  const plain = browser.newContext.bind(browser);
+  browser.newContext = async (options) => {
+    const context = await plain(options);
+    context.setDefaultTimeout(PATIENCE);
+    return context;
+  };
   const words = filter.split("|");
   const wanted = tests.filter(({ name }) => words.some((w) => name.includes(w)));
   // one test in a fresh context; true when it passed
@@ -115,8 +125,7 @@ export async function runAll({ filter = "", times = 1, shots }) {
     took.push([(performance.now() - began) / 1000, test.name]);
   }
   took.sort(([a], [b]) => b - a);
-  console.log("the slowest:");
-  for (const [seconds, name] of took.slice(0, 12)) console.log(`  ${seconds.toFixed(1).padStart(5)} s  ${name}`);
+  for (const [seconds, name] of took.slice(0, 10)) console.log(`slow: ${seconds.toFixed(1)} s ${name}`);
   // The same rule as in bin/test: up to three that failed run once more, and what passes then is told as unsteady.
   if (times === 1 && failed.length <= 3) {
     const again = failed;

@@ -1,6 +1,6 @@
 // Recordings that grow, pipelines that run, and sources that go away.
 import { rmSync, writeFileSync } from "node:fs";
-import { test, equal, ok, near, until } from "./harness.mjs";
+import { PATIENCE, test, equal, ok, near, until } from "./harness.mjs";
 import { open, state, dispatch, panelOf } from "./studio_page.mjs";
 
 const site = JSON.parse(process.argv[2]);
@@ -49,7 +49,7 @@ const newest = (page) =>
 
 // Waits until a page has drawn a number as new as this; returns the newest.
 async function drawn(page, number, what) {
-  for (const end = Date.now() + 60_000; Date.now() < end; await new Promise((r) => setTimeout(r, 50))) {
+  for (const end = Date.now() + PATIENCE; Date.now() < end; await new Promise((r) => setTimeout(r, 50))) {
     const n = await newest(page);
     if (n >= number) return n;
   }
@@ -72,7 +72,8 @@ test("6 live: a running pipeline is looked into; a page that hangs does not slow
     },
     "picture and lines move",
   );
-  const other = await (await browser.newContext()).newPage();
+  const elsewhere = await browser.newContext();
+  const other = await elsewhere.newPage();
   await open(other, main, "Lobby");
   const start = await drawn(other, (await drawn(page, 1, "the page draws")) + 1, "both pages draw");
   // A dialog halts the page's code for exactly as long as it stands; the other page sees two seconds of messages
@@ -85,7 +86,7 @@ test("6 live: a running pipeline is looked into; a page that hangs does not slow
   await hung;
   await drawn(page, later, "the page is at the newest again");
   await shot("pipeline-live");
-  await other.context().close();
+  await elsewhere.close();
 });
 
 test("a recording that is deleted while open: said, and the rest goes on", async ({ page }) => {

@@ -15,22 +15,36 @@ alias Situ.Studio.{History, Source}
 
 folder = Path.join(work, "recordings")
 points = String.to_integer(System.get_env("POINTS") || "1000000")
-Fixture.record("minute", folder)
-Fixture.record_big("big", folder, points)
-Fixture.record_uneven("uneven", folder)
-Fixture.record_many("many", folder)
-SpaceFixture.record("space", folder)
-Fixture.film(folder)
-Fixture.record_zoo("zoo", folder, Path.join(work, "zoo.json"))
-Fixture.record_dense("dense", folder, Path.join(work, "dense.json"))
 random = Path.join(work, "random.json")
-RandomFixture.record(folder, random, 4)
-# to be replaced, and to be damaged, while they are looked at
-Fixture.record("changing", folder)
-Fixture.record_uneven("broken", folder)
-# another writer, to be deleted while it is looked at
-Fixture.record("doomed", folder)
+
+File.mkdir_p!(folder)
+
+# Written at the same time, as many as there are cores.
+recordings =
+  Task.async(fn ->
+    [
+      fn -> Fixture.record_big("big", folder, points) end,
+      fn -> Fixture.record("minute", folder) end,
+      fn -> RandomFixture.record(folder, random, 4) end,
+      fn -> SpaceFixture.record("space", folder) end,
+      fn -> Fixture.film(folder) end,
+      fn -> Fixture.record_zoo("zoo", folder, Path.join(work, "zoo.json")) end,
+      fn -> Fixture.record_dense("dense", folder, Path.join(work, "dense.json")) end,
+      fn -> Fixture.record_uneven("uneven", folder) end,
+      fn -> Fixture.record_many("many", folder) end,
+      # to be replaced, and to be damaged, while they are looked at
+      fn -> Fixture.record("changing", folder) end,
+      fn -> Fixture.record_uneven("broken", folder) end,
+      # another writer, to be deleted while it is looked at
+      fn -> Fixture.record("doomed", folder) end
+    ]
+    |> Task.async_stream(& &1.(), timeout: :infinity, ordered: false)
+    |> Stream.run()
+  end)
+
 Task.start_link(fn -> Fixture.record_live("growing", folder) end)
+
+Task.await(recordings, :infinity)
 
 # A study of three sessions: one recording, two side by side, and one whose recording is gone.
 study = Path.join(folder, "study.json")

@@ -96,7 +96,7 @@ test("security: paths, origins and malformed requests are refused", async ({ pag
   const missing = await page.goto(`${main}/s/..%2f..%2fetc`);
   ok([200, 400, 404].includes(missing.status()) && !(await page.content()).includes("root:"), "no path leads out");
   await page.goto(`${main}/s/nothing`);
-  ok((await page.textContent("body")).includes("there is no recording"), "an unknown recording is named");
+  ok((await page.textContent("body")).includes("There is no recording"), "an unknown recording is named");
   for (const q of ["from=x", "from=5&to=1", "px=0", "px=99999999", "path=%5B", "stream=none"]) {
     const r = await page.request.get(`${main}/data/window?source=minute.0000&stream=Mic.Level&${q}`);
     ok(r.status() < 500, `${q} is answered with ${r.status()}`);

@@ -11,32 +11,22 @@ export async function open(page, base, source, query = "") {
   if ((await state(page)).mode !== "live") await settled(page);
 }
 
-// Nothing is asked for, nothing waits to be drawn.
+let waits = 0;
+
+// Nothing is asked for, nothing waits to be drawn, in some pictures one after the other: what has come may ask for more.
 export async function settled(page) {
-  await until(
-    page,
-    () => {
-      const s = window.situStudio;
-      return (
-        s &&
-        !s.client.inflight &&
-        s.frames.dirty.size === 0 &&
-        ![...s.views].some((v) => v.layers?.some((l) => l.decoding))
-      );
-    },
-    "the page is still",
-  );
-  await page.waitForTimeout(80);
-  await until(
-    page,
-    () => {
-      const { client, frames, views } = window.situStudio;
-      return (
-        !client.inflight && frames.dirty.size === 0 && ![...views].some((v) => v.layers?.some((l) => l.decoding))
-      );
-    },
-    "the page is still",
-  );
+  const still = (wait) => {
+    const s = window.situStudio;
+    const calm =
+      s &&
+      !s.client.inflight &&
+      s.frames.dirty.size === 0 &&
+      ![...s.views].some((v) => v.layers?.some((l) => l.decoding));
+    if (window.stillness?.wait !== wait) window.stillness = { wait, pictures: 0 };
+    window.stillness.pictures = calm ? window.stillness.pictures + 1 : 0;
+    return window.stillness.pictures > 4;
+  };
+  await until(page, still, "the page is still", ++waits, "raf");
 }
 
 export const state = (page) => page.evaluate(() => window.situStudio.time.get());
