@@ -58,11 +58,11 @@ defmodule Situ.Live.Test do
     }
 
     {:ok, browser} = Browser.start_link(join)
-    joined(GenServer.call(browser, :joined), browser)
+    joined(ask(browser, :joined), browser)
   end
 
   defp joined(:ok, browser) do
-    {view, _} = GenServer.call(browser, :view)
+    {view, _} = ask(browser, :view)
     %__MODULE__{browser: browser, view: view}
   end
 
@@ -77,14 +77,14 @@ defmodule Situ.Live.Test do
   @spec render(t()) :: String.t()
   def render(%__MODULE__{} = page) do
     settle(page)
-    GenServer.call(page.browser, :html)
+    ask(page.browser, :html)
   end
 
   # Once for what was in its mailbox, once for the acknowledgement that its diff brought.
   defp settle(page) do
     for _ <- 1..3, Process.alive?(page.view) do
       :sys.get_state(page.view)
-      GenServer.call(page.browser, :title)
+      ask(page.browser, :title)
     end
 
     :ok
@@ -193,7 +193,7 @@ defmodule Situ.Live.Test do
   @doc "A raw message, for what a browser would not send."
   @spec push(t(), String.t(), term()) :: :ok | {:ok, map()} | {:error, term()}
   def push(page, event, payload) do
-    case GenServer.call(page.browser, {:push, event, payload}) do
+    case ask(page.browser, {:push, event, payload}) do
       {:ok, reply} when reply == %{} -> settle(page)
       result -> settled(page, result)
     end
@@ -215,21 +215,21 @@ defmodule Situ.Live.Test do
   @spec pushed(t(), String.t()) :: [map()]
   def pushed(page, name) do
     settle(page)
-    GenServer.call(page.browser, {:events, name})
+    ask(page.browser, {:events, name})
   end
 
   @doc "Where the view sent the browser: `{:live_patch | :live_redirect | :redirect, path}`, oldest first."
   @spec visits(t()) :: [{atom(), String.t()}]
   def visits(page) do
     settle(page)
-    GenServer.call(page.browser, :visits)
+    ask(page.browser, :visits)
   end
 
   @doc "The page's title."
   @spec title(t()) :: String.t() | nil
   def title(page) do
     settle(page)
-    GenServer.call(page.browser, :title)
+    ask(page.browser, :title)
   end
 
   @doc "Whether the view's process lives."
@@ -245,4 +245,9 @@ defmodule Situ.Live.Test do
     |> Situ.Live.Html.escape()
     |> Situ.Live.Html.to_html()
   end
+
+  # On a busy machine a page takes its time; how long is no matter of a test.
+  @patience 60_000
+
+  defp ask(browser, question), do: GenServer.call(browser, question, @patience)
 end
