@@ -188,7 +188,8 @@ defmodule Situ.Studio do
       viewer_token: opts[:viewer_token],
       routes:
         Web.Routes.all(opts[:id], base(opts)) ++
-          Plugins.routes(opts[:plugins]) ++ Tiles.routes(opts[:tiles]),
+          Plugins.routes(opts[:plugins]) ++
+          Tiles.routes(opts[:tiles]) ++ [{:get, "/*path", {Web.NotFoundPage, base(opts)}}],
       images: Tiles.origins(opts[:tiles]),
       layout: &Web.Chrome.layout(Map.put(&1, :base, base(opts))),
       max_frame: 262_144

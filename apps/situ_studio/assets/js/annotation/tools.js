@@ -20,7 +20,7 @@ export class Tools {
     this.confidence = this.field("Confidence, 0 to 1", "number", (text, item) =>
       panel.push("confidence", { id: item.id, confidence: text === "" ? null : Number(text) }),
     );
-    Object.assign(this.confidence, { min: 0, max: 1, step: 0.05, placeholder: "sure" });
+    Object.assign(this.confidence, { min: 0, max: 1, step: 0.05, placeholder: "confidence" });
     this.note.placeholder = "note";
     this.track = this.button("Track…", "Another track, a new one, or another name for this", () =>
       this.chooseTrack(),
@@ -103,7 +103,7 @@ export class Tools {
     if (!item) this.note.value = this.confidence.value = "";
     if (item && document.activeElement !== this.note) this.note.value = item.note ?? "";
     if (item && document.activeElement !== this.confidence) this.confidence.value = item.confidence ?? "";
-    this.who.textContent = annotator() ? `as ${annotator()}` : "as nobody";
+    this.who.textContent = annotator() ? `as ${annotator()}` : "no name given";
     this.proposals(told, item);
     this.undo.disabled = !told.undo;
     this.redo.disabled = !told.redo;

@@ -71,7 +71,7 @@ export const commands = {
     const { sel, view, data } = app.time.get();
     if (app.client.origin === null) return;
     if (!app.root.querySelector("[data-act='export']")) {
-      return toast("Only a recording on disk can be saved in part, in a studio that is not read only");
+      return toast("No part of this can be saved: that needs a recording on disk and a studio that is not read only");
     }
     const selected = sel[0] != null || sel[1] != null;
     const [from, to] = selected

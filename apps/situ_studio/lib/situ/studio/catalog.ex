@@ -198,7 +198,7 @@ defmodule Situ.Studio.Catalog do
     Error.new(
       :not_found,
       "there is no recording called #{inspect(id, limit: 5, printable_limit: 200)}",
-      fix: "choose one from the list"
+      fix: "choose one from the list of recordings"
     )
   end
 

@@ -38,22 +38,22 @@ defmodule Situ.Studio.Figures do
 
   @choices [
     none: "nothing",
-    rate: "how often",
-    per_minute: "messages a minute",
-    per_hour: "messages an hour",
-    count: "how many messages",
-    duration: "how long",
-    span: "from the first message to the last",
+    rate: "messages per second",
+    per_minute: "messages per minute",
+    per_hour: "messages per hour",
+    count: "number of messages",
+    duration: "duration",
+    span: "time from the first message to the last",
     began: "date and time of the first message",
     date: "date of the first message",
     time: "time of the first message",
     size: "size",
-    average_size: "size of a message",
-    bytes_per_second: "bytes a second",
-    bytes_per_minute: "bytes a minute",
-    bytes_per_hour: "bytes an hour",
-    latency: "latency",
-    streams: "how many streams"
+    average_size: "mean size of a message",
+    bytes_per_second: "bytes per second",
+    bytes_per_minute: "bytes per minute",
+    bytes_per_hour: "bytes per hour",
+    latency: "mean latency",
+    streams: "number of streams"
   ]
 
   @second 1_000_000_000

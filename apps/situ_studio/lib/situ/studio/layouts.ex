@@ -29,7 +29,7 @@ defmodule Situ.Studio.Layouts do
          nil <- Enum.find_value(broken(dir), fn {_, said, e} -> if said == name, do: e end) do
       {:error,
        Error.new(:no_layout, "there is no layout called #{inspect(name)}",
-         fix: "choose one from the list"
+         fix: "choose one from the list of layouts"
        )}
     else
       %Layout{} = layout -> {:ok, layout}

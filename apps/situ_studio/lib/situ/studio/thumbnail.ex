@@ -23,6 +23,13 @@ defmodule Situ.Studio.Thumbnail do
     end
   end
 
+  @doc "The picture of a recording that has nothing to show: a line through the middle."
+  @spec nothing() :: String.t()
+  def nothing do
+    ~s(<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 #{@width} #{@height}">) <>
+      ~s(<path d="M60 45H100" stroke="#8b949e" stroke-width="2" stroke-dasharray="4 4"/></svg>)
+  end
+
   defp named(streams, shapes), do: for(s <- streams, s.shape in shapes, s.count > 0, do: s)
 
   defp picture(source, streams, middle) do

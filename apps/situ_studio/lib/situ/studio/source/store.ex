@@ -144,8 +144,8 @@ defmodule Situ.Studio.Source.Store do
         {"Average size", info.count > 0 && Figures.bytes(div(info.size, info.count))},
         {"Compression", info.compression != :none && to_string(info.compression)},
         {"Large messages", info.large? && "kept apart"},
-        {"First made", info.first_creation && {:time, info.first_creation}},
-        {"Last made", info.last_creation && {:time, info.last_creation}},
+        {"First created", info.first_creation && {:time, info.first_creation}},
+        {"Last created", info.last_creation && {:time, info.last_creation}},
         {"Opened", info.opened && {:time, info.opened}},
         {"Closed", info.closed && {:time, info.closed}},
         {"Id", info.id && to_string(info.id)}

@@ -33,7 +33,7 @@ defmodule Situ.Studio.Web.Annotation do
         {:noreply,
          toast(
            socket,
-           "Only a recording on disk can be annotated, in a studio that is not read only"
+           "This cannot be annotated: annotations need a recording on disk and a studio that is not read only"
          )}
   end
 

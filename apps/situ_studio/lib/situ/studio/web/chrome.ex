@@ -29,14 +29,21 @@ defmodule Situ.Studio.Web.Chrome do
     ~H"""
     <main class="message">
       <div role="alert">
-        <h1>{@error.what}</h1>
-        <p :if={@error.why}>{@error.why}</p>
-        <p :if={@error.fix}>{@error.fix}</p>
+        <h1>{capitalize(@error.what)}</h1>
+        <p :if={@error.why}>{sentence(@error.why)}</p>
+        <p :if={@error.fix}>{sentence(@error.fix)}</p>
       </div>
       <p><a class="btn" href=".">All recordings</a></p>
     </main>
     """
   end
+
+  # Errors are parts of sentences, so that they can be put together.
+  defp sentence(text),
+    do: capitalize(text) <> if(String.ends_with?(text, [".", "?", "!"]), do: "", else: ".")
+
+  defp capitalize(<<first::utf8, rest::binary>>), do: String.upcase(<<first::utf8>>) <> rest
+  defp capitalize(text), do: text
 
   attr(:damage, :list, required: true)
   attr(:path, :string, required: true)
@@ -131,7 +138,8 @@ defmodule Situ.Studio.Web.Chrome do
     """
   end
 
-  attr(:count, :integer, required: true)
+  attr(:infos, :list, required: true)
+  attr(:layout, :any, required: true)
   attr(:source, :string, required: true)
   attr(:read_only, :boolean, required: true)
   attr(:viewer, :boolean, default: false)
@@ -139,11 +147,15 @@ defmodule Situ.Studio.Web.Chrome do
 
   @doc false
   def status(assigns) do
+    assigns = assign(assigns, left_out: left_out(assigns.infos, assigns.layout))
+
     ~H"""
     <footer class="status">
       <span><i class="dot"></i><span id="connection" phx-update="ignore">connecting</span></span>
       <span>{@source}</span>
-      <span>{@count} {if @count == 1, do: "stream", else: "streams"}</span>
+      <span>{streams(length(@infos))}</span>
+      <span :if={@left_out > 0} title="Double click or drag a stream of the list to show it"
+          >{@left_out} not shown</span>
       <span :if={@viewer} class="viewer" title="You came by a link that may look and not change">looking only</span>
       <span :if={@read_only and not @viewer}>read only</span>
       <button :if={@snap} class="snapped" type="button" phx-click="snap" phx-value-stream={@snap}
@@ -156,6 +168,15 @@ defmodule Situ.Studio.Web.Chrome do
       <span id="tempo" phx-update="ignore"></span>
     </footer>
     """
+  end
+
+  defp streams(1), do: "1 stream"
+  defp streams(n), do: "#{n} streams"
+
+  # How many streams no panel shows.
+  defp left_out(infos, layout) do
+    shown = for panel <- layout.rows, vis <- panel.vis, into: MapSet.new(), do: vis.stream
+    Enum.count(infos, &(&1.name not in shown))
   end
 
   @doc false

@@ -13,6 +13,7 @@ defmodule Situ.Studio.Web.DataHttp do
     Path,
     Sound,
     Source,
+    Thumbnail,
     Visualizers,
     WholeNumber
   }
@@ -152,14 +153,15 @@ defmodule Situ.Studio.Web.DataHttp do
 
   # A recording that is over looks the same for a while.
   defp answer(:thumbnail, _query, source, extent) do
-    case Situ.Studio.Thumbnail.of(source) do
+    case Thumbnail.of(source) do
       {:ok, type, data} ->
         age = if extent.live, do: 5, else: 300
         headers = [{"content-type", type}, {"cache-control", "private, max-age=#{age}"}]
         %Response{headers: headers, body: data}
 
       :none ->
-        Response.error(404, "there is nothing to picture")
+        # lists show it: a browser's own mark of a broken picture would look like a fault
+        %Response{headers: [{"content-type", "image/svg+xml"}], body: Thumbnail.nothing()}
     end
   end
 

@@ -245,7 +245,7 @@ defmodule Situ.Studio.Web.HomeView do
   defp kind(%{kind: :source}), do: "in memory"
   defp kind(%{kind: :dataset}), do: "dataset"
 
-  defp count(1, _, ""), do: "1 thing to look at"
-  defp count(n, _, ""), do: "#{n} things to look at"
+  defp count(1, _, ""), do: "1 item"
+  defp count(n, _, ""), do: "#{n} items"
   defp count(n, found, _), do: "#{found} of #{n}"
 end

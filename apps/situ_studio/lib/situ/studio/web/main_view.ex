@@ -342,7 +342,8 @@ defmodule Situ.Studio.Web.MainView do
       <Side.right stream={@stream} group={@group} panel={@panel} known={@known} snap={@snap} />
       <QueryPanel.panel :if={@query_panel} panel={@query_panel} from={KnownStreams.begun(assigns)}
           annotate={Annotation.offered?(assigns)} />
-      <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} viewer={@viewer} snap={@snap} />
+      <Chrome.status infos={@infos} layout={@layout} source={@item.title} read_only={@read_only} viewer={@viewer}
+          snap={@snap} />
       <Annotation.dialog :if={match?({:annotation, _, _}, @dialog)} streams={elem(@dialog, 1)}
           schemas={elem(@dialog, 2)} />
       <Annotation.schema_dialog :if={match?({:schema, _, _}, @dialog)} dialog={@dialog} />

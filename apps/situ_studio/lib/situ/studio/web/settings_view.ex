@@ -58,7 +58,8 @@ defmodule Situ.Studio.Web.SettingsView do
 
     ~H"""
     <main class="home settings" id="settings" phx-hook="Lists">
-      <h1><a href="." title="All recordings" aria-label="All recordings"><.logo /></a><span>Settings</span></h1>
+      <h1><a href="." title="All recordings" aria-label="All recordings"><.logo /></a><span>Settings</span>
+        <a id="settings-back" class="btn" href="." phx-hook="Back" phx-update="ignore">Back</a></h1>
       <section aria-label="Settings of this studio">
         <h2>This studio, for everybody</h2>
         <p :if={@read_only} class="hint">This studio is read only: its settings cannot be changed.</p>
@@ -72,7 +73,7 @@ defmodule Situ.Studio.Web.SettingsView do
               <option :for={{value, text} <- @keep} value={value}
                   selected={value == @settings.keep}>{text}</option>
             </select></div>
-          <div class="field"><label for="setting-info">Beside the names of streams</label>
+          <div class="field"><label for="setting-info">Next to the name of each stream</label>
             <select id="setting-info" name="info" disabled={@read_only}>
               <option :for={{value, text} <- @info} value={value}
                   selected={value == @settings.info}>{text}</option>

@@ -109,8 +109,8 @@ defmodule Situ.Studio.Web.Side do
     assigns = assign(assigns, choices: Figures.choices())
 
     ~H"""
-    <label class="mini pick" title={"Beside the names: " <> @choices[@info]}><.icon name={:info} /><select name="info"
-        aria-label="Beside the names"><option :for={{name, title} <- @choices} value={name}
+    <label class="mini pick" title={"Next to the names: " <> @choices[@info]}><.icon name={:info} /><select name="info"
+        aria-label="Shown next to the names"><option :for={{name, title} <- @choices} value={name}
         selected={name == @info}>{title}</option></select></label>
     """
   end

@@ -176,7 +176,7 @@ defmodule Situ.Studio.PipelineViewTest do
     page = page(id, "/p/none")
     assert Page.text(page, ".message") =~ "diagnostics: true"
     page = page(id, "/p/nothing")
-    assert Page.text(page, ".message h1") =~ "there is no recording"
+    assert Page.text(page, ".message h1") =~ "There is no recording"
   end
 
   test "a typed time is traced, and one that is none is told", %{id: id} do

@@ -313,7 +313,7 @@ defmodule Situ.Studio.Web.MainViewTest do
   test "what is not there is named, and the list shows what is", %{studio: studio} do
     session = %{"studio" => studio}
     page = Page.mount(MainView, path: "/s/none", params: %{"id" => ["none"]}, session: session)
-    assert Page.text(page, ".message h1") =~ "there is no recording called"
+    assert Page.text(page, ".message h1") =~ "There is no recording called"
     assert Page.text(Page.mount(HomeView, session: session), ".item b") == "one"
   end
 

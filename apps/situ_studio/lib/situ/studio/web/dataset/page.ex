@@ -128,7 +128,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
     rows =
       [
         {"Sessions", length(dataset.sessions)},
-        {"All sessions last", Figures.text(:duration, length)}
+        {"Total duration", Figures.text(:duration, length)}
       ] ++
         Enum.map(rows(Facts.sum(facts)), &apart/1) ++ [{"File", dataset.file}]
 
@@ -201,7 +201,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
     ]
   end
 
-  defp apart({"Duration", value}), do: {"First to last", value}
+  defp apart({"Duration", value}), do: {"First to last message", value}
   defp apart(row), do: row
 
   defp at(nil), do: nil

@@ -1,0 +1,20 @@
+defmodule Situ.Studio.Web.NotFoundPageTest do
+  use ExUnit.Case, async: true
+
+  alias Situ.Live.Request
+  alias Situ.Studio.Web.NotFoundPage
+
+  test "people get a page with the way back, below the studio's own path" do
+    request = %Request{headers: %{"accept" => "text/html,application/xhtml+xml,*/*;q=0.8"}}
+    response = NotFoundPage.call(request, "/lab/studio/")
+    body = IO.iodata_to_binary(response.body)
+    assert response.status == 404
+    assert body =~ ~s(<base href="/lab/studio/">)
+    assert body =~ ~s(href=".">All recordings</a>)
+  end
+
+  test "programs get a line" do
+    response = NotFoundPage.call(%Request{headers: %{"accept" => "*/*"}}, "/")
+    assert {response.status, IO.iodata_to_binary(response.body)} == {404, "404 not found\n"}
+  end
+end
