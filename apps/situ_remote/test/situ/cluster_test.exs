@@ -256,6 +256,23 @@ defmodule Situ.ClusterTest do
     assert Cluster.Agent.info().deployments == []
   end
 
+  test "a deployment whose log was deleted meanwhile does not come back, and begins anew", %{
+    tmp_dir: dir
+  } do
+    deployment = slow(dir)
+    running(deployment.name, "Sum")
+    stop_supervised!(Cluster)
+    assert {:ok, _} = Past.prune(raw(dir), deployment.name, 0)
+    start_supervised!({Cluster, log: dir})
+    :ok = Cluster.DeploymentLoader.run(raw(dir), Cluster.Agent, false)
+    assert Cluster.Agent.info().deployments == []
+    opts = [opts: [count: 100], place: @place, publish: ["Result"], pipeline: @pipeline]
+    assert {:ok, %{run: run} = again} = Cluster.deploy(ClusterSums, opts)
+    assert run != deployment.run
+    assert :ok = Cluster.await(again, 60_000)
+    assert read(again, "Result") == alone(count: 100)
+  end
+
   test "forgetting 40 parts holds up nobody", %{tmp_dir: dir} do
     start_supervised!({Cluster, log: dir})
     agent = Process.whereis(Cluster.Agent)

@@ -16,10 +16,9 @@ defmodule Situ.Cluster.DeploymentLoader do
   @doc false
   @spec run(Log.t(), GenServer.server(), boolean()) :: :ok
   def run(log, agent, told?) do
-    case Deployments.all(log) do
-      {:ok, deployments} ->
+    case load_all(log, agent) do
+      :ok ->
         if told?, do: Logger.warning("the log is there now")
-        for d <- deployments, not ended?(log, d), do: GenServer.cast(agent, {:install, d})
         :ok
 
       {:error, %{code: :log_away} = error} ->
@@ -33,6 +32,31 @@ defmodule Situ.Cluster.DeploymentLoader do
 
       {:error, error} ->
         Logger.error("deployments of before do not run again: #{Exception.message(error)}")
+    end
+  end
+
+  defp load_all(log, agent) do
+    with {:ok, deployments} <- Deployments.all(log) do
+      Enum.reduce_while(deployments, :ok, fn deployment, :ok ->
+        case load(log, agent, deployment) do
+          :ok -> {:cont, :ok}
+          {:error, error} -> {:halt, {:error, error}}
+        end
+      end)
+    end
+  end
+
+  defp load(log, agent, %{name: name} = deployment) do
+    case Deployments.there?(log, name, deployment.run) do
+      {:ok, true} ->
+        unless ended?(log, deployment), do: GenServer.cast(agent, {:install, deployment})
+        :ok
+
+      {:ok, false} ->
+        Deployments.delete(log, name)
+
+      {:error, error} ->
+        {:error, error}
     end
   end
 

@@ -5,7 +5,7 @@ defmodule Situ.Cluster.Deployments do
   # been deleted and something else is deployed under the same name, no entry of before is believed.
   #
   # A deployment that was forgotten keeps its run as long as its log is there, and goes on where it was when it is
-  # deployed again.
+  # deployed again. Its log has a mark, which goes when the log is deleted, also by somebody without the cookie.
   alias Situ.Cluster.{Deployment, Seal, SealedLog}
   alias Situ.Error
   alias Situ.Remote.Log
@@ -18,16 +18,46 @@ defmodule Situ.Cluster.Deployments do
 
   @doc "Notes a deployment, and gives it its run; one that is there under its name must be the same."
   @spec put(Log.t(), Deployment.t()) :: {:ok, Deployment.t()} | {:error, Error.t()}
-  def put(log, %Deployment{name: name} = deployment) do
-    update(log, fn known ->
-      run = if known[name], do: known[name].run, else: new_run()
-      deployment = %{deployment | run: run}
+  def put(log, %Deployment{} = deployment) do
+    with {:ok, deployment} <- note(log, deployment),
+         :ok <- mark(log, deployment),
+         do: {:ok, deployment}
+  end
 
-      case known[name] do
-        %{deployment: %Deployment{} = other} when other != deployment -> {:error, taken(name)}
-        _ -> {:ok, Map.put(known, name, %{run: run, deployment: deployment}), deployment}
+  defp note(log, %{name: name} = deployment) do
+    update(log, fn known ->
+      with {:ok, run} <- run(log, name, known[name]) do
+        deployment = %{deployment | run: run}
+
+        case known[name] do
+          %{deployment: %Deployment{} = other} when other != deployment -> {:error, taken(name)}
+          _ -> {:ok, Map.put(known, name, %{run: run, deployment: deployment}), deployment}
+        end
       end
     end)
+  end
+
+  # The one that it had, as long as its log is there.
+  defp run(_log, _name, nil), do: {:ok, new_run()}
+
+  defp run(log, name, %{run: run}) do
+    with {:ok, there?} <- there?(log, name, run),
+         do: {:ok, if(there?, do: run, else: new_run())}
+  end
+
+  defp mark(log, %{name: name, run: run}) do
+    case Log.append(SealedLog.new(log, run), mark(name), 0, %Entry{op: "deployed"}) do
+      {:error, error} -> {:error, error}
+      _there -> :ok
+    end
+  end
+
+  defp mark(name), do: {:key, "run.#{name}.deployed"}
+
+  @doc "Whether the log of a run is there: somebody may have deleted it where no node ran."
+  @spec there?(Log.t(), String.t(), String.t()) :: {:ok, boolean()} | {:error, Error.t()}
+  def there?(log, name, run) do
+    with {:ok, mark} <- Log.last(SealedLog.new(log, run), mark(name)), do: {:ok, mark != nil}
   end
 
   defp new_run, do: Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)

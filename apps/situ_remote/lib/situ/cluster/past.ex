@@ -57,7 +57,7 @@ defmodule Situ.Cluster.Past do
 
   def deployment({:key, name}) do
     case String.split(name, ".", parts: 3) do
-      [kind, deployment, _part] when kind in ~w(lease state ckpt) -> deployment
+      [kind, deployment, _part] when kind in ~w(lease state ckpt run) -> deployment
       _ -> nil
     end
   end
