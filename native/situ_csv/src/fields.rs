@@ -4,7 +4,7 @@ use std::num::FpCategory;
 
 const MOST_DIGITS: usize = 300;
 
-/// What a field looks like, or all fields of a column do.
+/// The look of a field, or of all fields of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// Digits, perhaps with a sign.
@@ -84,7 +84,7 @@ fn shape(bytes: &[u8]) -> Option<Kind> {
     rest.is_empty().then_some(Kind::Float)
 }
 
-/// What the numbers of a time column count.
+/// The unit of the numbers in a time column.
 #[derive(Debug, Clone, Copy)]
 pub enum Unit {
     /// So many nanoseconds.

@@ -34,7 +34,7 @@ pub struct Start {
 /// The fields of a column that are not empty.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Column {
-    /// What they all look like.
+    /// Their kind.
     pub kind: Option<Kind>,
     /// How many there are.
     pub count: u64,
@@ -55,14 +55,14 @@ pub enum Why {
     Backward,
 }
 
-/// What a part holds.
+/// The content of a part.
 #[derive(Debug)]
 pub struct Part {
     /// The columns, that of times among them (and empty).
     pub columns: Vec<Column>,
     /// Lines of rows that are left out.
     pub damage: Vec<(u64, Why)>,
-    /// What follows it.
+    /// Where the next part begins.
     pub next: Start,
     /// How many rows it has, kept or not.
     pub rows: usize,

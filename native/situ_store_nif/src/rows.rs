@@ -49,8 +49,8 @@ fn refused(env: Env, refusal: Refusal) -> Term {
     }
 }
 
-/// The separator; the number of fields and the column of times; what it counts (nanoseconds, or 0 for ISO 8601) and what
-/// is added to it; the most rows and bytes of a part.
+/// The separator; the number of fields and the column of times; its unit (nanoseconds, or 0 for ISO 8601) and the
+/// nanoseconds that are added to it; the most rows and bytes of a part.
 type GivenLayout = (u8, (usize, usize), (i64, i64), (usize, u64));
 
 fn layout((separator, (width, time), (unit, start), (rows, bytes)): GivenLayout) -> Layout {
@@ -140,8 +140,8 @@ fn name(kind: Kind) -> Atom {
     }
 }
 
-/// The values of one column in a part, with their times: `{:ok, [{time, value}]}`, or `:slow`. Texts, and whole numbers of
-/// more than 64 bits, are binaries.
+/// The values of one column in a part, with their times: `{:ok, [{time, value}]}`, or `:slow`. Texts, and whole numbers
+/// of more than 64 bits, are binaries.
 #[rustler::nif(schedule = "DirtyIo")]
 fn csv_values<'a>(
     env: Env<'a>,

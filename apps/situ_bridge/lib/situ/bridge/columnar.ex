@@ -212,8 +212,8 @@ defmodule Situ.Bridge.Columnar do
   end
 
   @doc """
-  The rows as a lazy enumerable of `{time, value}`, read some at a time. Raises `Situ.Error`. Options besides `time:` and
-  `columns:`: `notice:`, a function of a sentence for each kind of thing that is left out.
+  Returns the rows as a lazy enumerable of `{time, value}`, read some at a time. Raises `Situ.Error`. Options besides
+  `time:` and `columns:`: `notice:`, a function of a sentence for each kind of thing that is left out.
   """
   @spec messages(module(), Path.t(), keyword()) :: Enumerable.t()
   def messages(reader, path, opts) do

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Arrow.File do
   @moduledoc false
-  # An Arrow file as it is read: its columns, and the rows of its batches, some at a time. Also the streaming form, which
-  # has no footer: then the messages are gone through once.
+  # An Arrow file as it is read: its columns, and the rows of its batches, some at a time. Also the streaming form,
+  # which has no footer: then the messages are gone through once.
   @behaviour Situ.Bridge.Columnar.Reader
   alias Situ.Bridge.Arrow.{Batch, FlatBuffer, Schema, Values}
   alias Situ.Error

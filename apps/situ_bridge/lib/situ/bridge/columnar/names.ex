@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Columnar.Names do
   @moduledoc false
-  # Names of columns. Nothing keeps a file from having several columns of one name; a row, which is a map, has one. Pure.
+  # Names of columns. A file may have several columns of one name; a row, which is a map, has one. Pure.
 
   @doc """
   Numbers the later ones of columns that have one name, by a name that no other column has.

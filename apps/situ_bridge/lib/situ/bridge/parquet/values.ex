@@ -10,7 +10,7 @@ defmodule Situ.Bridge.Parquet.Values do
   @encodings %{4 => "BIT_PACKED"}
 
   @typedoc """
-  What is left of a page: plain bytes; plain booleans, and those that are unpacked; numbers of entries of a dictionary;
+  The rest of a page: plain bytes; plain booleans, and those that are unpacked; numbers of entries of a dictionary;
   runs of booleans; bytes that are apart, and how many values are taken; or values.
   """
   @type t ::

@@ -148,7 +148,7 @@ defmodule Situ.CLI.Store.Importing do
 
   defp imported(named, out), do: import_named(named, out)
 
-  # What a table leaves out is named to whoever imports it.
+  # Names what a table leaves out to whoever imports it.
   defp import_named(named, out), do: Tables.import(named, out, notice: &Output.warn/1)
 
   defp recordings(paths, out, opts) do

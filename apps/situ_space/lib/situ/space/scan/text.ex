@@ -26,9 +26,8 @@ defmodule Situ.Space.Scan.Text do
   @doc """
   Parses a number as C's `strtod` does: one too large for 64 bits is infinite, and "nan" and "inf" are numbers.
 
-      iex> for text <- ["1.5", "-1e400", "NaN", "inf", "-Infinity", "1e-400", "1e", ""],
-      ...>     do: Situ.Space.Scan.Text.number(text)
-      [{:ok, 1.5}, {:ok, :neg_infinity}, {:ok, :nan}, {:ok, :infinity}, {:ok, :neg_infinity}, {:ok, 0.0}, :error, :error]
+      iex> for text <- ["1.5", "-1e400", "NaN", "inf", "1e-400", "1e", ""], do: Situ.Space.Scan.Text.number(text)
+      [{:ok, 1.5}, {:ok, :neg_infinity}, {:ok, :nan}, {:ok, :infinity}, {:ok, 0.0}, :error, :error]
   """
   @spec number(String.t()) :: {:ok, number_or_none()} | :error
   def number(text) when byte_size(text) <= @most do
