@@ -11,6 +11,6 @@ defmodule Situ.Bridge.Recorder do
   @callback create(Path.t(), keyword()) :: {:ok, state()} | {:error, Error.t()}
   @callback write(state(), topic :: String.t(), Situ.Message.t(), keyword()) ::
               {:ok, state()} | {:error, Error.t()}
-  @callback flush(state()) :: {:ok, term()} | {:error, Error.t()}
+  @callback flush(state()) :: {:ok, state()} | {:error, Error.t()}
   @callback finish(state()) :: {:ok, term()} | {:error, Error.t()}
 end

@@ -1,12 +1,13 @@
 defmodule Situ.Bridge.Mcap.Writer do
   @moduledoc false
   @behaviour Situ.Bridge.Recorder
-  # A file and its channels, as a value: every message goes to the native writer, which keeps the chunk.
+  # A file and its channels, as a value. Messages go to the native writer, which keeps the chunk, many at once: a call
+  # there changes the thread, which costs more than a small message.
   alias Situ.Bridge.Mcap.{Channel, Failure, Options}
   alias Situ.Bridge.Native
   alias Situ.Error
 
-  defstruct [:path, :ref, channels: %{}, sequences: %{}, count: 0]
+  defstruct [:path, :ref, channels: %{}, sequences: %{}, count: 0, rows: [], waiting: 0, bytes: 0]
   @type t :: %__MODULE__{}
 
   @impl true
@@ -96,15 +97,34 @@ defmodule Situ.Bridge.Mcap.Writer do
          {:ok, bytes} <- Channel.encode(channel, message.data, message.originating_time),
          {:ok, time} <- time(topic, message.originating_time),
          sequence = Map.get(writer.sequences, topic, 0),
-         row = {channel.id, rem(sequence, 0x1_0000_0000), time, time, bytes},
-         {:ok, _} <- Failure.wrap(Native.mcap_write(writer.ref, [row]), writer.path) do
-      {:ok,
-       %{
-         writer
-         | sequences: Map.put(writer.sequences, topic, sequence + 1),
-           count: writer.count + 1
-       }}
+         row = {channel.id, rem(sequence, 0x1_0000_0000), time, time, bytes} do
+      hand_over(%{
+        writer
+        | sequences: Map.put(writer.sequences, topic, sequence + 1),
+          count: writer.count + 1,
+          rows: [row | writer.rows],
+          waiting: writer.waiting + 1,
+          bytes: writer.bytes + byte_size(bytes)
+      })
     end
+  end
+
+  @most_waiting 500
+  @most_bytes 256 * 1024
+
+  defp hand_over(%{waiting: waiting, bytes: bytes} = writer)
+       when waiting < @most_waiting and bytes < @most_bytes,
+       do: {:ok, writer}
+
+  defp hand_over(writer), do: hand_over_all(writer)
+
+  defp hand_over_all(%{rows: []} = writer), do: {:ok, writer}
+
+  defp hand_over_all(writer) do
+    rows = Enum.reverse(writer.rows)
+
+    with {:ok, _} <- Failure.wrap(Native.mcap_write(writer.ref, rows), writer.path),
+         do: {:ok, %{writer | rows: [], waiting: 0, bytes: 0}}
   end
 
   defp time(_topic, time) when time in 0..0xFFFF_FFFF_FFFF_FFFF, do: {:ok, time}
@@ -139,8 +159,16 @@ defmodule Situ.Bridge.Mcap.Writer do
 
   @impl true
   @doc "Hands everything so far to the system, as whole chunks."
-  def flush(writer), do: Failure.wrap(Native.mcap_flush(writer.ref), writer.path)
+  def flush(writer) do
+    with {:ok, writer} <- hand_over_all(writer),
+         {:ok, _} <- Failure.wrap(Native.mcap_flush(writer.ref), writer.path),
+         do: {:ok, writer}
+  end
+
   @impl true
   @doc "Writes the index."
-  def finish(writer), do: Failure.wrap(Native.mcap_finish(writer.ref), writer.path)
+  def finish(writer) do
+    with {:ok, writer} <- hand_over_all(writer),
+         do: Failure.wrap(Native.mcap_finish(writer.ref), writer.path)
+  end
 end

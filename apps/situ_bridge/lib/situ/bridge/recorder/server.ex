@@ -71,13 +71,20 @@ defmodule Situ.Bridge.Recorder.Server do
 
   def handle_info(:flush, state) do
     Process.send_after(self(), :flush, @flush)
-    if state.dirty, do: state.module.flush(state.writer)
-    {:noreply, %{state | dirty: false}}
+    {:noreply, if(state.dirty, do: flush(state), else: state)}
   end
 
   def handle_info({:DOWN, _, :process, _, _}, state) do
     finish(state)
     {:stop, :normal, %{state | writer: nil}}
+  end
+
+  # What fails here fails again, and is heard of, when the next messages come.
+  defp flush(state) do
+    case state.module.flush(state.writer) do
+      {:ok, writer} -> %{state | writer: writer, dirty: false}
+      {:error, _} -> state
+    end
   end
 
   defp finish(%{writer: nil}), do: {:ok, nil}

@@ -217,7 +217,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
 
   # A chunk's size is in its head, so only whole ones can be handed over: what is pending stays so.
   @impl true
-  def flush(_writer), do: {:ok, nil}
+  def flush(writer), do: {:ok, writer}
 
   @impl true
   def finish(writer) do
