@@ -22,6 +22,15 @@ defmodule Situ.Infer.Speech.WakeWord.Spoken do
       iex> Situ.Infer.Speech.WakeWord.Spoken.among("My company is open.", ["computer"], 0.88)
       nil
 
+  No measure of letters tells a name written wrongly from another word that is written nearly so: "Komputer" differs
+  from "computer" as much as "commuter" does, and "compute" less. Choose a name that is unlike other words, or set
+  `alike: 1`, where such words are said and the recogniser is good.
+
+      iex> Situ.Infer.Speech.WakeWord.Spoken.among("The commuter train was late.", ["computer"], 0.88)
+      {1, 5}
+      iex> Situ.Infer.Speech.WakeWord.Spoken.among("The commuter train was late.", ["computer"], 1)
+      nil
+
   ## Options
 
   #{Situ.Options.docs(@schema)}
