@@ -1,13 +1,13 @@
 defmodule Situ.Argument do
   @moduledoc false
-  # The one home of the texts with which a public function refuses an argument: they say what it takes, what it was given
-  # and what to write.
+  # The one home of the texts with which a public function refuses an argument. They say what it takes, what it was
+  # given and what to write.
   alias Situ.Graph.Handle
   alias Situ.{Node, Stream}
 
   @typedoc """
-  The kind that a function takes: a stream, a pipeline that is being built, one that runs, a function that builds one, a node, or
-  something else in words.
+  The kind that a function takes: a stream, a pipeline that is being built, one that runs, a function that builds one, a
+  node, or something else in words.
   """
   @type kind :: :stream | :streams | :handle | :target | :build | :node | String.t()
 
