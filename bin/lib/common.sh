@@ -8,8 +8,9 @@ export SITU_ROOT
 SITU_STATE="$SITU_ROOT/.situ"
 NPM_MARK=node_modules/.package-lock.json
 
-# Whoever may set these decides which code a virtual machine loads: they are for mix and iex, which do not come by here.
-unset ERL_LIBS ERL_FLAGS ERL_AFLAGS ERL_ZFLAGS ERL_COMPILER_OPTIONS ERL_INETRC ERL_ROOTDIR ELIXIR_ERL_OPTIONS "${!ERL_OTP@}"
+# These variables decide which code a virtual machine loads: they are for mix and iex, which do not come by here.
+unset ERL_LIBS ERL_FLAGS ERL_AFLAGS ERL_ZFLAGS ERL_COMPILER_OPTIONS ERL_INETRC ERL_ROOTDIR ELIXIR_ERL_OPTIONS
+unset "${!ERL_OTP@}"
 
 # Elixir wants a UTF-8 locale; a bare machine has none set.
 case "${LC_ALL:-${LC_CTYPE:-${LANG:-}}}" in
@@ -113,7 +114,8 @@ elixir_with() {
 # files may be.
 situ_prod() { start_vm "$(release_flags)" -s Elixir.Situ.CLI start -extra "$@"; }
 
-# start_vm FLAGS ARGS...: becomes a virtual machine with the production build, of which nothing is loaded from the current folder.
+# start_vm FLAGS ARGS...: becomes a virtual machine with the production build, which loads nothing from the current
+# folder.
 #
 # Erlang's code server always begins with "." in its path, and looks there for the modules of its own start. So the
 # machine starts in a folder of this checkout, takes "." out of its path before anything else runs, and only then

@@ -1,5 +1,5 @@
-# Runs every verb of the command line in the current folder: its help, and the verb itself with arguments that name nothing.
-# Those that stay, or that ask other machines, are left at their help.
+# Runs every verb of the command line in the current folder: its help, and the verb itself with arguments that name
+# nothing. Those that stay, or that ask other machines, are left at their help.
 {:ok, _} = Application.ensure_all_started(:ex_unit)
 stay = [["store", "record"], ["studio"], ["serve"], ["talk"], ["plugin", "test"]]
 verbs = Situ.CLI.Commands.all()

@@ -15,14 +15,14 @@ defmodule Situ.Scratch do
 
   @private 0o700
 
-  @doc "Makes a folder below `parent` (the system's temporary folder). Error: `:no_scratch`."
+  @doc "Makes a folder of a random name below `parent` (the system's temporary folder). Error: `:no_scratch`."
   @spec create(String.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def create(word, parent \\ System.tmp_dir!()) do
     # 96 bits, in letters that every file system tells apart.
     random = Base.encode32(:crypto.strong_rand_bytes(12), case: :lower, padding: false)
     folder = Path.join(parent, "situ-#{word}-#{random}")
 
-    # mkdir fails where anything of that name is, a link included. What somebody may have put into it before its mode
+    # mkdir fails where anything of that name is, a link included. A file that somebody has put into it before its mode
     # was set is seen.
     with :ok <- File.mkdir(folder),
          :ok <- File.chmod(folder, @private),

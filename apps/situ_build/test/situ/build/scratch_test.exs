@@ -4,7 +4,8 @@ defmodule Situ.Build.ScratchTest do
 
   @root Path.expand("../../../../..", __DIR__)
   # It makes them; a socket's path must be short; stores in memory have a name that others look for.
-  @homes ~w(situ_types/lib/situ/scratch.ex situ_media/lib/situ/media/ffmpeg/socket.ex situ_store/lib/situ/store/volatile.ex)
+  @homes ~w(situ_types/lib/situ/scratch.ex situ_store/lib/situ/store/volatile.ex) ++
+           ~w(situ_media/lib/situ/media/ffmpeg/socket.ex)
 
   test "only Situ.Scratch makes files in the system's temporary folder" do
     files = Path.wildcard(Path.join(@root, "apps/*/lib/**/*.ex"))

@@ -29,8 +29,8 @@ defmodule Situ.CLI.Desktop do
   end
 
   @doc """
-  What the opener is given for `url`. An address with a token goes by a page in `folder` that leads there, which only
-  this user can read: on a command line every user of the machine could read it.
+  Returns the opener's argument for `url`. An address with a token goes by a page in `folder` that leads there, which
+  only this user can read: on a command line every user of the machine could read it.
   """
   @spec argument(String.t(), Path.t()) :: String.t()
   def argument(url, folder) do

@@ -6,14 +6,14 @@ defmodule Situ.CLI.Secret do
   alias Situ.Error
   alias Situ.Remote.Access
 
-  @doc "The option that names the token's file; `doc` says what the token is for."
+  @doc "Returns the option that names the token's file; `doc` says what the token is for."
   @spec option(String.t()) :: Option.t()
   def option(doc \\ "the file that holds the token (its first line); SITU_TOKEN holds one, too"),
     do: Option.new(:token_file, :path, doc)
 
   @doc """
-  The token that was given: by `--token-file`, by the older `--token` (with a warning), or by SITU_TOKEN; `nil` if there is
-  none. Errors: `:no_token`, `:usage`.
+  Returns the token that was given by `--token-file`, by the older `--token` (with a warning), or by SITU_TOKEN; `nil` if
+  there is none. Errors: `:no_token`, `:usage`.
   """
   @spec token(keyword()) :: {:ok, String.t() | nil} | {:error, Error.t()}
   def token(opts) do

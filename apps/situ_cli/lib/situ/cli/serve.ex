@@ -16,7 +16,8 @@ defmodule Situ.CLI.Serve do
         Serves until it is stopped (Ctrl-C). A name without a version means all of its versions, those that will be
         recorded included; one that has none yet is waited for. Elsewhere a pipeline opens it by the address that is
         printed: Situ.Remote.open(p, ADDRESS, from: :resume). The studio and `situ store` open the same address as a
-        recording; the token they read from SITU_TOKEN, or from the file that SITU_TOKEN_FILE names. See the guide "Links between machines".
+        recording; they read the token from SITU_TOKEN, or from the file that SITU_TOKEN_FILE names. See the guide
+        "Links between machines".
         """,
         arguments: [path: [kind: :recording, doc: "a recording, or the name of its versions"]],
         options: [

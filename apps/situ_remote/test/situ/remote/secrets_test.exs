@@ -1,5 +1,5 @@
 defmodule Situ.Remote.SecretsTest do
-  # What processes keep ends up in logs, in dumps and in observers.
+  # Logs, dumps and observers show the states of processes.
   use ExUnit.Case, async: true
   import Situ.Remote.Test.Recordings
   alias Situ.Remote
