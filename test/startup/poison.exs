@@ -1,5 +1,5 @@
-# Fills the folder (its first argument) with modules named like those that a virtual machine loads on its way and those of
-# its applications; loading one of them leaves a file in the folder of marks (the second argument).
+# Fills the folder (its first argument) with modules named like those that a virtual machine loads on its way, and those
+# of its applications. Loading one of them leaves a file in the folder of marks (the second argument).
 [folder, marks | _] = System.argv()
 File.mkdir_p!(folder)
 

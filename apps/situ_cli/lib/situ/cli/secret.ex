@@ -12,8 +12,8 @@ defmodule Situ.CLI.Secret do
     do: Option.new(:token_file, :path, doc)
 
   @doc """
-  Returns the token that was given by `--token-file`, by the older `--token` (with a warning), or by SITU_TOKEN; `nil` if
-  there is none. Errors: `:no_token`, `:usage`.
+  Returns the token that was given by `--token-file`, by the older `--token` (with a warning), or by SITU_TOKEN, or
+  `nil`. Errors: `:no_token`, `:usage`.
   """
   @spec token(keyword()) :: {:ok, String.t() | nil} | {:error, Error.t()}
   def token(opts) do
