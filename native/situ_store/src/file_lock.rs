@@ -21,7 +21,7 @@ pub struct FileLock {
     path: PathBuf,
 }
 
-/// What came of an attempt to lock.
+/// The result of an attempt to lock.
 #[derive(Debug)]
 pub enum Attempt {
     /// The lock is the caller's.
@@ -115,7 +115,7 @@ mod tests {
         }
         drop(lock);
         assert!(!path.exists());
-        // What a killed process leaves is nobody's.
+        // A file that a killed process left locks nothing.
         std::fs::write(&path, "somebody long gone, with a longer name").unwrap();
         let Attempt::Taken(lock) = acquire(&path, b"Ben").unwrap() else {
             panic!("not taken");

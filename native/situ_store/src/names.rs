@@ -7,7 +7,7 @@ use rustix::io::Errno;
 
 use crate::error::{Error, Result};
 
-/// What came of a rename.
+/// The result of a rename.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
     /// It was made.

@@ -115,7 +115,7 @@ fn check(original: &Original, dir: &Path, name: &str, length: usize) -> (Message
     let place = format!("{name} cut to {length}: {report:?}");
     assert!(before.is_subset(&after), "lost: {place}");
     assert!(after.is_subset(&original.all), "invented: {place}");
-    // What could not be read is said to be damage.
+    // Messages that could not be read are said to be damage.
     if before != original.all {
         assert!(!report.damage.is_empty() && report.rebuilt, "{place}");
     }

@@ -39,8 +39,8 @@ fn reader_verify<'a>(env: Env<'a>, handle: Handle, from: u64, n: u64) -> Term<'a
     }
 }
 
-/// `{:ok, {kept, dropped, recovered, doubtful, rebuilt?, damage}}`, with `dry` of what would be done; meanwhile `{:situ_store,
-/// tag, {done, total}}` to `pid`.
+/// `{:ok, {kept, dropped, recovered, doubtful, rebuilt?, damage}}`, with `dry` of what would be done; meanwhile
+/// `{:situ_store, tag, {done, total}}` to `pid`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn store_repair<'a>(
     env: Env<'a>,

@@ -17,10 +17,10 @@ defmodule Situ.Dataset do
       true
 
   `open/1` takes a dataset file (`Situ.Dataset.Document`), a `.pds` of \\psi, a folder of recordings, or one
-  recording. A dataset is a plain value: edits answer `{:ok, dataset}`, and with `autosave: true` are on disk by
-  then (whole or not at all); else `unsaved?` is true. Nothing that another program has saved is overwritten: `save/1`
-  refuses then, and `update/2` makes an edit of the file as it is. `Situ.Dataset.Server` is a process that holds one for several
-  users and tells them of changes.
+  recording. A dataset is a plain value: edits answer `{:ok, dataset}`, and with `autosave: true` are on disk by then
+  (whole or not at all); else `unsaved?` is true. Nothing that another program has saved is overwritten: `save/1`
+  refuses then, and `update/2` makes an edit of the file as it is. `Situ.Dataset.Server` is a process that holds one for
+  several users and tells them of changes.
 
   | to | see |
   |---|---|

@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Leftovers do
   @moduledoc false
-  # What a command that is stopped half way (Ctrl-C, kill) leaves of its output. The VM ends at once then and can clean
-  # up nothing itself, so a small shell waits for its end: it reads from the VM until there is nothing more.
+  # Removes the unfinished output of a command that is stopped half way (Ctrl-C, kill). The VM ends at once then and
+  # can't clean up itself, so a small shell waits for its end: it reads from the VM until there is nothing more.
   alias Situ.Store
 
   # Files of a store's draft only: somebody's notes stay.

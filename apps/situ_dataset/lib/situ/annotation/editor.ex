@@ -170,8 +170,8 @@ defmodule Situ.Annotation.Editor do
     end
   end
 
-  # Edits go into the journal, which is one editor's at a time. What others have saved is taken first; it stays when the
-  # edit then fails.
+  # Edits go into the journal, which is one editor's at a time. It takes what others have saved first, and keeps
+  # that when the edit then fails.
   defp change(state, fun) do
     with {:ok, locked} <- EditorState.lock(state) do
       # Edits that another editor left when it was killed.

@@ -1,6 +1,7 @@
 defmodule Situ.Annotation.EditorState do
   @moduledoc false
-  # What an editor starts from: the newest version of its store and, on it, the edits of a journal that a crash left.
+  # The state that an editor starts from: the newest version of its store and, on it, the edits of a journal that a
+  # crash left.
   # Whoever has unsaved edits holds the journal's lock; nobody else reads or writes the journal then.
   alias Situ.Annotation.{Journal, Layer, Schema, Versions}
   alias Situ.Dataset.Version

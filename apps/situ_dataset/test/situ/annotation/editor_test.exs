@@ -166,7 +166,7 @@ defmodule Situ.Annotation.EditorTest do
       assert {:error, %{code: :being_edited} = error} = add(ben, 20, 30)
       assert error.why =~ "process #{System.pid()} on"
       assert {:error, %{code: :being_edited}} = Editor.put_schema(ben, schema())
-      # What the other has not saved is neither seen nor taken for a crash's.
+      # The other's unsaved edits are neither seen nor taken for a crash's.
       carl = start(path)
 
       assert {[], %{recovered: 0, unsaved?: false}} =

@@ -32,7 +32,7 @@ defmodule Situ.Store.AtomicFile do
     :file.close(device)
   end
 
-  @doc "Renames a file or folder and brings the new name to the disk. What it names has to be there before."
+  @doc "Renames a file or folder and brings the new name to the disk. The file itself has to be there before."
   @spec rename(Path.t(), Path.t()) :: :ok | {:error, File.posix()}
   def rename(from, to) do
     with :ok <- File.rename(from, to) do

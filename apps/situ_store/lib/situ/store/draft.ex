@@ -1,8 +1,8 @@
 defmodule Situ.Store.Draft do
   @moduledoc false
   # A store made out of others. While it is written its folder is NAME.PID-N.unfinished, which nothing takes for a
-  # store; only the whole, on the disk, gets a name, in one step. The next program that makes a store of this name sweeps
-  # away the leftovers of a killed one.
+  # store; only the whole, on the disk, gets a name, in one step. The next program that makes a store of this name
+  # sweeps away the leftovers of a killed one.
   alias Situ.Error
   alias Situ.Store.{AtomicFile, FileLock, Folder, Reading, Replacement, Writer}
 

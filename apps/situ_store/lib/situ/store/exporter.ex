@@ -49,9 +49,9 @@ defmodule Situ.Store.Exporter do
          ]},
       doc:
         "With `split:`: delete the oldest pieces, those of earlier runs among them, so that at least " <>
-          "`{:span, ns}` or at most `{:bytes, n}` stay. A span is what was recorded in whole pieces before the newest " <>
-          "(a pause does not count); of pieces that are cut by size, the time since they ended by the computer's " <>
-          "clock. No message's time deletes anything."
+          "`{:span, ns}` or at most `{:bytes, n}` stay. A span is what was recorded in whole pieces before the " <>
+          "newest (a pause does not count); of pieces that are cut by size, the time since they ended by the " <>
+          "computer's clock. No message's time deletes anything."
     ]
   ]
 

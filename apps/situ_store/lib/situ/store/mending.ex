@@ -41,14 +41,15 @@ defmodule Situ.Store.Mending do
     do: {:error, Error.new(:not_a_store, "#{store.path} is a foreign file, not a store")}
 
   @doc """
-  Makes a store whole that was not closed or is damaged: `{:ok, %{kept, dropped, recovered, doubtful, rebuilt?, damage}}`.
+  Makes a store whole that was not closed or is damaged: `{:ok, report}` with `kept`, `dropped`, `recovered`,
+  `doubtful`, `rebuilt?` and `damage`.
 
   A sound store that was merely not closed is cut to size and marked closed. Every chunk that could be read before is
   kept. Where the index is damaged or lost, its places are filled from the data with the chunks that are known to have
-  been committed (`recovered`); chunks that are damaged themselves are left out (`dropped`). Where the whole index is lost, so
-  is what says that the last commit of a killed writer was acknowledged: it is left out (`doubtful`). The data files are not
-  rewritten, but for the header of an extent when that is damaged; the old index stays as `index.situ.before-repair`,
-  with a number where there is one already.
+  been committed (`recovered`); chunks that are damaged themselves are left out (`dropped`). Where the whole index is
+  lost, nothing says that the last commit of a killed writer was acknowledged: it is left out (`doubtful`). The data
+  files are not rewritten, but for the header of an extent when that is damaged; the old index stays as
+  `index.situ.before-repair`, with a number where there is one already.
 
   #{Situ.Options.docs(@repair_options)}
   """

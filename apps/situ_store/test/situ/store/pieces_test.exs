@@ -148,7 +148,7 @@ defmodule Situ.Store.PiecesTest do
         {:ok, real, stream} = Store.Pieces.stream(pieces, number, name, [])
         {:ok, _} = Store.Writer.append(stream, [message.(time, data)])
         :ok = Store.Pieces.appended(pieces, cut, real, time)
-        # What was cast is done before what is called for.
+        # The cast is done before the call.
         {:ok, _, _} = Store.Pieces.stream(pieces, number, name, [])
       end
 

@@ -41,9 +41,9 @@ defmodule Situ.CLI.Store.Care do
         words: ["store", "compact"],
         summary: "rewrite a store in its place: full chunks of many small commits, no holes",
         about: """
-        The recording is smaller and faster to read then; its messages stay as they are. It has its name at every moment,
-        so that a program killed meanwhile loses nothing; as much room as the store takes is needed on the disk. Not
-        while it is being written.
+        The recording is smaller and faster to read then; its messages stay as they are. It has its name at every
+        moment, so that a program killed meanwhile loses nothing. The disk needs room for a second one. A store that is
+        being written is refused.
         """,
         arguments: [path: Keyword.put(@store, :many, true)],
         options: [

@@ -1,7 +1,7 @@
 defmodule Situ.Store.Pieces.Earlier do
   @moduledoc false
-  # The pieces that earlier runs of the same recorder left in its folder. A piece says in its catalog that it is one: any
-  # other recording of that name is somebody's, and is neither counted nor deleted.
+  # The pieces that earlier runs of the same recorder left in its folder. A piece says in its catalog that it is one:
+  # any other recording of that name is somebody's, and is neither counted nor deleted.
   alias Situ.Store.{Folder, Reading}
 
   # Before this a computer's clock was not set: 2020.

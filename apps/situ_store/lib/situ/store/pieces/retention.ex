@@ -1,8 +1,8 @@
 defmodule Situ.Store.Pieces.Retention do
   @moduledoc false
   # Which pieces of a recording `keep:` has no room for. Pure. No originating time counts here: a single message with a
-  # wrong one must not delete anything. What counts is how much was recorded, by the time that pieces are cut at, or
-  # when a piece ended by the clock of the computer, which the caller reads.
+  # wrong one must not delete anything. The amount recorded counts, by the time that pieces are cut at, or the moment a
+  # piece ended by the clock of the computer, which the caller reads.
 
   @typedoc """
   A piece, of which `size` is its bytes, `duration` the originating time that it is whole of (ns), and `ended` when the
