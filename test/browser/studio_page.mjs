@@ -13,7 +13,7 @@ export async function open(page, base, source, query = "") {
 
 let waits = 0;
 
-// Nothing is asked for, nothing waits to be drawn, in some pictures one after the other: what has come may ask for more.
+// Nothing is asked for, nothing waits to be drawn, in some pictures one after the other: an answer may ask for more.
 export async function settled(page) {
   const still = (wait) => {
     const s = window.situStudio;
@@ -91,8 +91,8 @@ export async function panelOf(page, stream) {
   return page.evaluate(find, stream);
 }
 
-// What the legend says of a stream at the cursor, as soon as the server has told it: {text, exact}, where `exact` is
-// the whole value.
+// The legend's words about a stream at the cursor, as soon as the server has told them: {text, exact}, where `exact`
+// is the whole value.
 export async function legendOf(page, stream) {
   const find = (s) => {
     const at = document.querySelector(`.legend-item[data-stream="${CSS.escape(s)}"] b`);

@@ -66,7 +66,7 @@ test("7 truth: lines and lanes say what the messages say, at any zoom", async ({
   ok(compared > 250, `${compared} values were compared`);
   ok(old >= 1 && many > 10, `${old} were old, ${many} were many`);
 
-  // The legend: the value of the last message at the cursor, exactly. Older than the stream's pace explains, it says so.
+  // The legend: the value of the last message at the cursor, exactly; one older than the pace of its stream says so.
   async function line(page, stream, rows, t, slack) {
     const { text, exact } = await legendOf(page, stream);
     const [row] = around(rows, Math.round(t * MS) / MS);

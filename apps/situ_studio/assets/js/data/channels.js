@@ -140,7 +140,7 @@ export class InstantChannel extends Channel {
   }
 }
 
-// What a stream of a plot says at the cursor, exactly: never made up from the rows that are drawn.
+// The value of a plotted stream at the cursor, exactly: never made up from the rows that are drawn.
 export class ValueChannel extends InstantChannel {
   constructor(id, spec, accept) {
     super(id, spec, accept);

@@ -1,5 +1,5 @@
-// A link back to the page that was open before in this tab; without one, to all recordings. Browsers are told to send no
-// referrer, as addresses of pages say what people look at.
+// A link back to the page that was open before in this tab; without one, to all recordings. Browsers are told to send
+// no referrer, as addresses of pages say what people look at.
 
 // The address to go back to: one of this studio's own pages, and not the page itself.
 export function backTo(before, here, base) {

@@ -16,7 +16,7 @@ const LEAST = 6,
   MOST = 17;
 
 // A value that is given exactly, as text: whole, or with as many digits as tell it apart from one that is `apart` away.
-// What is not a number stays as it is.
+// Other texts stay as they are.
 export function valueText(exact, apart = 0) {
   const x = Number(exact);
   if (!Number.isFinite(x) || exact.trim() === "") return exact;

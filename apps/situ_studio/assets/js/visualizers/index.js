@@ -1,7 +1,8 @@
 // Every way to draw a stream, by the name the server's table gives it (`Situ.Studio.Visualizer`). One file each: what
 // is drawn, what lies under the mouse, what the legend says. `panel` names the kind of panel that it draws in.
 //
-// plot:   entries(layer) -> [{layer, name, series}], draw(ctx, entry, scene), text(entry, told, apart), extent(entry, view)
+// plot:   entries(layer) -> [{layer, name, series}], draw(ctx, entry, scene), extent(entry, view),
+//         text(entry, told, apart)
 // lanes:  lanes(channel) -> names, draw(ctx, lane, scene), under(lane, time, slack) -> lines of text
 // image:  accept(layer, frame, changed), draw(ctx, layer, scene), under(layer, x, y, k), facts(layer, x, y)
 // others: a class that fills the panel by itself (el, app, config)

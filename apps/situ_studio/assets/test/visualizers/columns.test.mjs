@@ -1,4 +1,4 @@
-// What is drawn of a column of pixels is the least and the greatest of its messages.
+// A column of pixels is drawn from the least to the greatest of its messages.
 import test from "node:test";
 import assert from "node:assert/strict";
 import { columns, strokeOf } from "../../js/visualizers/columns.js";

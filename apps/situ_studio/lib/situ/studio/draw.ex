@@ -78,7 +78,7 @@ defmodule Situ.Studio.Draw do
     end
   end
 
-  # What a visualizer over time says at the cursor.
+  # The value that a visualizer over time has at the cursor.
   defp value(source, channel, %{viz: viz} = spec, time, last) do
     case viz.module.value_at(source, channel, spec, time) do
       {:ok, ^last, _frame} -> {Frame.same(channel), last}

@@ -103,7 +103,7 @@ defmodule Situ.Studio.Visualizer do
   @callback instant(Frame.channel(), data :: term(), Situ.Message.t(), context()) ::
               Frame.t() | {:kept, Frame.t(), map() | nil} | {:error, String.t()}
 
-  @typedoc "What a stream says at a time: a frame, and a mark that differs for each message of the frame."
+  @typedoc "The value of a stream at a time: a frame, and a mark that differs for each message."
   @type value :: {:ok, mark :: term(), Frame.t()} | :none | {:error, Situ.Error.t()}
 
   @doc """
