@@ -51,8 +51,8 @@ defmodule Situ.Cluster do
   Messages under way on a direct stream when a node is lost are lost. A recording cannot be carried over: a part that
   records is started again from the first message of the log, into a new version, and fails where `retain:` has taken
   that away. `Situ.Pipeline.on/4` handlers run with the part `"rest"` and with parts that record; those of a resource
-  (a recording, a link) with the parts that use it. The log of a finished deployment stays until `prune/2` deletes it. An upgrade
-  does not change the graph.
+  (a recording, a link) with the parts that use it. The log of a finished deployment stays until `prune/2` deletes it.
+  An upgrade does not change the graph.
 
   The log has the deployments too, so nodes that were all lost at once run them again when they are back, but for those
   that have ended or were forgotten. Its entries are sealed with the cluster's cookie: one that somebody else wrote,

@@ -50,7 +50,7 @@ defmodule Situ.CLI.ClusterLog do
 
     if login? do
       Output.warn(
-        "situ cluster: the login in --log stands in the list of processes, where every user of this machine reads it;" <>
+        "situ cluster: every user of this machine can read the login in --log in the list of processes;" <>
           " write it into a file and give --log-credentials FILE"
       )
     end
