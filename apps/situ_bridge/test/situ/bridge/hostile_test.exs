@@ -1,18 +1,16 @@
 defmodule Situ.Bridge.HostileTest do
   # Mutations of genuine files and messages are recordings, values or errors, in bounded memory and without atoms.
-  # SITU_MUTATIONS=20000 tries so many of each; the tests of every day try fewer of whole files.
   use ExUnit.Case, async: false
   alias Situ.Bridge.Foxglove.{Messages, Standard}
   alias Situ.Bridge.{Mcap, Mqtt, Protobuf, WebSocket}
   alias Situ.Bridge.Ros.{Definition, Library, Wire}
+  alias Situ.Test.Budget
   alias Situ.Store
 
   @moduletag :tmp_dir
   @moduletag :capture_log
   @moduletag timeout: :infinity
   @data Path.expand("../../data", __DIR__)
-
-  defp count(usual), do: "SITU_MUTATIONS" |> System.get_env("#{usual}") |> String.to_integer()
 
   # Some bytes changed, cut off, put in or taken twice.
   defp mutate(bytes, n) do
@@ -87,7 +85,7 @@ defmodule Situ.Bridge.HostileTest do
     test "mutations of the file #{name}", %{tmp_dir: dir} do
       bytes = File.read!(Path.join(@data, unquote(name)))
       path = Path.join(dir, "mutated" <> unquote(extension))
-      bounded(count(unquote(usual)), &opened(path, mutate(bytes, &1)))
+      bounded(Budget.mutations(unquote(usual)), &opened(path, mutate(bytes, &1)))
     end
   end
 
@@ -112,7 +110,7 @@ defmodule Situ.Bridge.HostileTest do
 
     bytes = File.read!(whole)
     path = Path.join(dir, "mutated.mcap")
-    bounded(count(200), &opened(path, mutate(bytes, &1)))
+    bounded(Budget.mutations(200), &opened(path, mutate(bytes, &1)))
   end
 
   @sqlite System.find_executable("sqlite3")
@@ -133,7 +131,7 @@ defmodule Situ.Bridge.HostileTest do
       {_, 0} = System.cmd(@sqlite, [whole, sql])
       bytes = File.read!(whole)
       path = Path.join(dir, "mutated.db3")
-      bounded(count(60), &opened(path, mutate(bytes, &1)))
+      bounded(Budget.mutations(60), &opened(path, mutate(bytes, &1)))
     end
   end
 
@@ -144,7 +142,7 @@ defmodule Situ.Bridge.HostileTest do
     {:ok, bytes} = Protobuf.encode(schema, name, Standard.to(name, value, 5, "f"))
     set = Protobuf.Descriptor.write(schema, name)
 
-    bounded(count(2_000), fn n ->
+    bounded(Budget.mutations(2_000), fn n ->
       with {:ok, message} <- Protobuf.decode(schema, name, mutate(bytes, n)),
            do: Standard.from(name, message)
 
@@ -162,7 +160,7 @@ defmodule Situ.Bridge.HostileTest do
       message = Situ.Bridge.Ros.Standard.to("sensor_msgs/PointCloud2", cloud, 5)
       {:ok, bytes} = Wire.encode(definition, message, encoding)
 
-      bounded(count(2_000), fn n ->
+      bounded(Budget.mutations(2_000), fn n ->
         case Wire.decode(definition, mutate(bytes, n), encoding) do
           {:ok, message} -> Situ.Bridge.Ros.Standard.from("sensor_msgs/PointCloud2", message)
           {:error, why} when is_binary(why) -> :ok
@@ -174,7 +172,7 @@ defmodule Situ.Bridge.HostileTest do
   test "mutations of definitions" do
     {:ok, text} = Library.fetch("visualization_msgs/Marker")
 
-    bounded(count(500), fn n ->
+    bounded(Budget.mutations(500), fn n ->
       case Definition.parse("visualization_msgs/Marker", mutate(text, n)) do
         {:ok, definition} -> Wire.decode(definition, :binary.copy(<<1>>, 100), :ros1)
         {:error, why} when is_binary(why) -> :ok
@@ -191,7 +189,7 @@ defmodule Situ.Bridge.HostileTest do
 
     frames = IO.iodata_to_binary(for i <- 1..5, do: WebSocket.Frames.frame(:text, "message #{i}"))
 
-    bounded(count(2_000), fn n ->
+    bounded(Budget.mutations(2_000), fn n ->
       case Mqtt.Subscription.read(mutate(mqtt, n), "", 100_000) do
         {:ok, payloads, _answer, _rest} when is_list(payloads) -> :ok
         {:error, why} when is_binary(why) -> :ok

@@ -5,6 +5,7 @@ defmodule Situ.Bridge.ParquetTest do
   alias Situ.Bridge.Columnar.{Column, Names, Rows}
   alias Situ.Bridge.Parquet
   alias Situ.Bridge.Parquet.{Chunk, Deltas, Leaf, Packed, Runs, Thrift, Writer}
+  alias Situ.Test.Budget
   alias Situ.Store
   doctest Runs
   doctest Deltas
@@ -276,15 +277,16 @@ defmodule Situ.Bridge.ParquetTest do
     assert error.code == :not_parquet
   end
 
-  test "2,000 mutations of theirs are rows or errors, in bounded memory", %{tmp_dir: dir} do
+  test "mutations of theirs are rows or errors, in bounded memory", %{tmp_dir: dir} do
     path = Path.join(dir, "theirs.parquet")
-    :rand.seed(:exsss, {7, 8, 9})
+    seed = Budget.seed()
     whole = Enum.map(@theirs, &File.read!/1)
 
     mutate = fn ->
+      :rand.seed(:exsss, seed)
       Process.flag(:max_heap_size, %{size: 50_000_000, kill: true, error_logger: true})
 
-      for _ <- 1..2_000, bytes = Enum.random(whole) do
+      for _ <- 1..Budget.mutations(200), bytes = Enum.random(whole) do
         at = :rand.uniform(byte_size(bytes)) - 1
         <<before::binary-size(at), _, rest::binary>> = bytes
         File.write!(path, [before, :rand.uniform(256) - 1, rest])
@@ -391,15 +393,14 @@ defmodule Situ.Bridge.ParquetTest do
     assert Packed.undo(1, "", 0) == ""
   end
 
-  test "20,000 mutations of a file are rows or errors, and make no atoms", %{tmp_dir: dir} do
+  test "mutations of a file are rows or errors, and make no atoms", %{tmp_dir: dir} do
     rows = for i <- 1..50, do: {i, %{n: i, t: "text #{rem(i, 5)}", f: i / 3, b: rem(i, 2) == 0}}
     {:ok, _} = dir |> recorded([{"Rows", rows}]) |> Parquet.export(dir, rows: 20)
     whole = File.read!(Path.join(dir, "Rows.parquet"))
     path = Path.join(dir, "mutated.parquet")
-    :rand.seed(:exsss, {1, 2, 3})
     atoms = :erlang.system_info(:atom_count)
 
-    for n <- 1..20_000 do
+    for n <- 1..Budget.mutations(2_000) do
       bytes = mutated(whole, n)
       # The disk need not see most of them: pages are read without it.
       if rem(n, 10) == 0, do: from_disk(path, bytes), else: from_memory(bytes)

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.PsiTest do
   use ExUnit.Case, async: true
   alias Situ.Bridge.Test.Expected
+  alias Situ.Test.Budget
   alias Situ.Store
 
   @data Path.expand("../../data/psi", __DIR__)
@@ -255,13 +256,9 @@ defmodule Situ.Bridge.PsiTest do
         Path.join(@data, "extents")
       ]
 
-      :rand.seed(:exsss, {1, 2, 3})
       atoms = :erlang.system_info(:atom_count)
 
-      # SITU_MUTATIONS=20000 tries so many.
-      n = String.to_integer(System.get_env("SITU_MUTATIONS", "300"))
-
-      for n <- 1..n, source = Enum.random(sources) do
+      for n <- 1..Budget.mutations(300), source = Enum.random(sources) do
         to = Path.join(dir, "s#{rem(n, 3)}")
         File.rm_rf!(to)
         File.mkdir_p!(to)

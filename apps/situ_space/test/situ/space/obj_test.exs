@@ -54,7 +54,7 @@ defmodule Situ.Space.Scan.ObjTest do
           {"", "no vertices"},
           {"v 1 2\n", "fewer than three numbers"},
           {"v 1 2 left\n", ~s("left" is no number)},
-          {"v 1 2 1e99\n", "is no number"},
+          {"v 1 2 1e99\n", "not finite"},
           {"v 1 2 " <> String.duplicate("9", 400), "is no number"},
           {"v 1 2 3\nf 1 1\n", "fewer than three vertices"},
           {"v 1 2 3\nf 1 1 2\n", ~s(names vertex "2" of 1)},

@@ -86,10 +86,10 @@ defmodule Situ.Space.Scan.PcdTest do
     assert [%{name: "Points", type: PointCloud, count: 1}] = Store.streams(store)
   end
 
-  test "a number of hundreds of digits is no number" do
+  test "a number of hundreds of digits is refused" do
     text = String.replace(@text, "0.93773", String.duplicate("9", 400))
-    assert {:ok, cloud} = Pcd.read(text)
-    assert [{_, _, _}] = PointCloud.to_points(cloud)
+    assert {:error, error} = Pcd.read(text)
+    assert error.code == :bad_file and error.why =~ "is no number"
   end
 
   test "what is damaged is an error in words" do

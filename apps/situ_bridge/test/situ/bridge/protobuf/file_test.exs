@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Protobuf.FileTest do
   # Not beside others, whose atoms would be counted.
   use ExUnit.Case, async: false
   alias Situ.Bridge.Protobuf
+  alias Situ.Test.Budget
   alias Situ.Pipeline
 
   @moduletag :tmp_dir
@@ -98,16 +99,14 @@ defmodule Situ.Bridge.Protobuf.FileTest do
              end)
   end
 
-  # SITU_MUTATIONS=20000 tries so many.
   test "mutations are messages or errors", %{tmp_dir: dir} do
     path = Path.join(dir, "levels.pb")
     written(path, Enum.take(levels(), 20), type: "lab.Level", definition: @lab)
     whole = File.read!(path)
-    :rand.seed(:exsss, {3, 4, 5})
     read = Protobuf.File.messages(path, type: "lab.Level")
     atoms = :erlang.system_info(:atom_count)
 
-    for _ <- 1..String.to_integer(System.get_env("SITU_MUTATIONS", "500")) do
+    for _ <- 1..Budget.mutations(500) do
       at = :rand.uniform(byte_size(whole)) - 1
       <<before::binary-size(at), _, rest::binary>> = whole
       File.write!(path, [before, Enum.random([<<255>>, <<0>>, <<:rand.uniform(255)>>, ""]), rest])
