@@ -460,7 +460,9 @@ defmodule Situ.Pipeline do
   """
   @spec on(t(), event, (term() -> any()), resource :: term()) :: :ok
         when event: :run | :completed | :component_completed | :error | :progress | :abandoned
-  def on(%Handle{} = p, event, fun, resource \\ nil)
+  def on(p, event, fun, resource \\ nil)
+
+  def on(%Handle{} = p, event, fun, resource)
       when event in [:run, :completed, :component_completed, :error, :progress, :abandoned] and
              is_function(fun, 1) do
     Builder.run(p, fn graph ->
@@ -469,7 +471,7 @@ defmodule Situ.Pipeline do
     end)
   end
 
-  def on(other, _event, _fun),
+  def on(other, _event, _fun, _resource),
     do: Argument.refuse!(other, :handle, "Situ.Pipeline.on(p, :error, fn error -> error end)")
 
   @doc """
