@@ -81,6 +81,8 @@ defmodule Situ.Cluster.Standby do
     lend(%{standby | loan: nil, away: before}, away, mover)
   end
 
+  # It is given the part: what it has lost before is no reason to wait.
+  def lend(standby, 0, nil), do: %{standby | away: 0, losses: %Losses{}}
   def lend(standby, away, nil), do: %{standby | away: away}
 
   def lend(standby, away, mover),

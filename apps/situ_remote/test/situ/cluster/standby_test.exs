@@ -36,6 +36,9 @@ defmodule Situ.Cluster.StandbyTest do
     at = now()
     {:wait, standby} = Standby.observe(standby, {7, "", at, at}, 0)
     assert {:wait, _} = Standby.observe(standby, {7, "", at + 60_000, at + 60_000}, 0)
+    # But not when it is given the part.
+    standby = Standby.lend(standby, 0, nil)
+    assert {:take, _} = Standby.observe(standby, {7, "", at + 60_000, at + 60_000}, 0)
   end
 
   test "a node that is lost is looked at once" do

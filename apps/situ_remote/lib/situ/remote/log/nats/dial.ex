@@ -118,6 +118,8 @@ defmodule Situ.Remote.Log.Nats.Dial do
          )}
 
       tls != nil ->
+        # Nodes that talk by TLS have some of its processes, and the application does not run yet.
+        {:ok, _} = Application.ensure_all_started(:ssl)
         {host, _port} = state.server
 
         tls = Keyword.merge([verify: :verify_peer] ++ named(to_charlist(host)), tls)
