@@ -356,8 +356,17 @@ impl Reader {
         }
         let mut entries = self.entries(channel)?;
         if times.in_messages() {
+            // What cannot be read keeps the time of the index: reading it is an error, knowing of it is none.
+            let mut damaged = None;
             for entry in &mut entries {
-                entry.time = self.with_message(entry, |header, data| times.of(header, data))?;
+                if entry.chunk != LOOSE && damaged == Some(entry.chunk) {
+                    continue;
+                }
+                match self.with_message(entry, |header, data| times.of(header, data)) {
+                    Ok(time) => entry.time = time,
+                    Err(Error::Damaged(..)) => damaged = Some(entry.chunk),
+                    Err(other) => return Err(other),
+                }
             }
         }
         let track = Arc::new(Track::new(entries));

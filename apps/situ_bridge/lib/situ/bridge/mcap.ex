@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.Mcap do
-  alias Situ.Bridge.Mcap.{Codec, Copy, Failure, Writer}
+  alias Situ.Bridge.Mcap.{Codec, Copy, Extra, Failure, Writer}
   alias Situ.Bridge.Native
   alias Situ.Bridge.Recorder.{Export, Exporter}
   alias Situ.{Error, Message}
@@ -100,6 +100,7 @@ defmodule Situ.Bridge.Mcap do
         {:ok, span} ->
           channel = %{
             id: id,
+            native: id,
             topic: topic,
             codec: Codec.shaped(codec, state.messages),
             times: times,
@@ -110,13 +111,27 @@ defmodule Situ.Bridge.Mcap do
             schema: schemas[schema]
           }
 
-          {:cont, {:ok, [channel | known]}}
+          {:cont, {:ok, extra(channel, state.messages) ++ known}}
 
         {:error, error} ->
           {:halt, {:error, error}}
       end
     end)
   end
+
+  defp extra(channel, :apart) do
+    channel = %{channel | metadata: {channel.metadata, channel.schema}}
+
+    if Codec.lossy?(channel.codec, channel.type) do
+      id = Extra.number(channel.id)
+      more = %{channel | id: id, codec: Codec.extra(channel.codec), type: :map, note: nil}
+      [%{more | topic: Extra.name(channel.topic), metadata: [], schema: nil}, channel]
+    else
+      [channel]
+    end
+  end
+
+  defp extra(channel, _messages), do: [channel]
 
   defp order(:header, codec), do: Codec.stamps(codec) || :log
   defp order(times, _codec), do: times
@@ -161,6 +176,12 @@ defmodule Situ.Bridge.Mcap do
     }
   end
 
+  defp supplemental({pairs, {name, language, definition}}) do
+    schema = %{"name" => name, "encoding" => language, "definition" => definition}
+    {"map", :erlang.term_to_binary(Map.put(Map.new(pairs), "schema", schema))}
+  end
+
+  defp supplemental({pairs, nil}), do: supplemental(pairs)
   defp supplemental([]), do: nil
   defp supplemental(pairs), do: {"map", :erlang.term_to_binary(Map.new(pairs))}
 
@@ -186,7 +207,7 @@ defmodule Situ.Bridge.Mcap do
   @impl true
   def seek(state, info, time) do
     channel = Map.fetch!(state.channels, info.id)
-    Failure.wrap(Native.mcap_seek(state.ref, channel.id, channel.times, time), state.path)
+    Failure.wrap(Native.mcap_seek(state.ref, channel.native, channel.times, time), state.path)
   end
 
   @impl true
@@ -194,16 +215,20 @@ defmodule Situ.Bridge.Mcap do
     channel = Map.fetch!(state.channels, info.id)
     envelopes? = opts[:envelopes] == true
     skip? = opts[:skip_damage] == true
-    track = {channel.id, channel.times}
+    track = {channel.native, channel.times}
     what = {track, ordinal, to, {limit, @most_bytes}, {envelopes?, skip?}}
 
     with {:ok, {found, next}} <- Failure.wrap(Native.mcap_read(state.ref, what), state.path),
          do: {:ok, Enum.map(found, &message(&1, channel, envelopes?)), next}
   end
 
-  defp message({time, log_time, _publish, sequence, bytes}, channel, envelopes?) do
+  defp message({time, log_time, publish, sequence, bytes}, channel, envelopes?) do
     %Message{
-      data: if(envelopes?, do: nil, else: data(bytes, channel.codec)),
+      data:
+        if(envelopes?,
+          do: nil,
+          else: bytes |> data(channel.codec) |> sent(channel, publish, log_time)
+        ),
       originating_time: time,
       creation_time: max(log_time, time),
       sequence_id: sequence,
@@ -211,12 +236,23 @@ defmodule Situ.Bridge.Mcap do
     }
   end
 
+  # A message of Situ has two times, one of MCAP up to three.
+  defp sent(%{} = extra, %{codec: %{extra?: true}}, publish, log_time)
+       when publish != log_time and not is_struct(extra),
+       do: Map.put(extra, "publish_time", publish)
+
+  defp sent(data, _channel, _publish, _log_time), do: data
+
   defp data(bytes, codec) do
     case Codec.decode(codec, bytes) do
       {:ok, value} -> value
       {:error, why} -> %Undecoded{codec: "mcap", bytes: bytes, reason: why}
     end
   end
+
+  @impl true
+  def import_options(times),
+    do: [messages: :apart, times: if(times == :header, do: :header, else: :log)]
 
   @doc false
   # For `Situ.Bridge.Recorder.Export`: everything that is in a message.

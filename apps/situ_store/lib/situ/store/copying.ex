@@ -7,7 +7,7 @@ defmodule Situ.Store.Copying do
   which the next one deletes.
   """
   alias Situ.Error
-  alias Situ.Store.{Draft, Failure, Folder, Reading, StreamInfo, Transfer}
+  alias Situ.Store.{Draft, Failure, Folder, Formats, Reading, StreamInfo, Transfer}
 
   @options [
     from: [type: {:optional, :integer}, doc: "The first originating time."],
@@ -19,6 +19,13 @@ defmodule Situ.Store.Copying do
     compression: [type: {:in, [:none, :lz4, :zstd]}, doc: "For all streams; else as they are."],
     skip_damage: [type: :boolean, default: true, doc: "Leave damaged chunks out."],
     progress: [type: {:fun, 2}, doc: "`fun.(done, total)` of messages, as it goes."],
+    times: [
+      type: {:in, [:header, :record]},
+      default: :header,
+      doc:
+        "Of bags and MCAP files: originating times are the stamps of headers, where a message has one, or the times " <>
+          "of recording."
+    ],
     versioned: [type: :boolean, default: true, doc: "Make a sub-folder `NAME.NNNN`."],
     durability: [
       type: :any,
@@ -47,7 +54,7 @@ defmodule Situ.Store.Copying do
           {:ok, Path.t()} | {:error, Error.t()}
   def copy(from, to, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
-         {:ok, store} <- Reading.open(from),
+         {:ok, store} <- open(from, opts[:times]),
          {:ok, sources} <- selected(sources(store), opts[:streams], store.path),
          :ok <- check_interval(sources, opts) do
       build(to, Enum.map(sources, fn {_, info} = source -> {info, [source]} end), opts)
@@ -110,7 +117,7 @@ defmodule Situ.Store.Copying do
           {:ok, Path.t()} | {:error, Error.t()}
   def crop(from, to, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @crop_options),
-         {:ok, store} <- Reading.open(from) do
+         {:ok, store} <- open(from, opts[:times]) do
       {first, _last} = Reading.interval(store) || {0, 0}
       start = opts[:from] || first + (opts[:start] || 0)
       stop = opts[:to] || (opts[:length] && start + opts[:length])
@@ -135,7 +142,7 @@ defmodule Situ.Store.Copying do
           {:ok, Path.t()} | {:error, Error.t()}
   def concat(paths, to, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
-         {:ok, stores} <- open_all(paths),
+         {:ok, stores} <- open_all(paths, opts[:times]),
          where = Enum.map_join(stores, ", ", & &1.path),
          {:ok, named} <- selected(Enum.flat_map(stores, &sources/1), opts[:streams], where),
          names = named |> Enum.map(fn {_, info} -> info.name end) |> Enum.uniq(),
@@ -187,12 +194,21 @@ defmodule Situ.Store.Copying do
 
   defp sources(store), do: Enum.map(Reading.streams(store), &{store, &1})
 
-  defp open_all([]),
+  # Foreign readers are asked for everything that is in a file.
+  defp open(path, times) do
+    reader = if File.regular?(path), do: Formats.for_file(path)
+
+    if reader && function_exported?(reader, :import_options, 1),
+      do: Reading.open(path, reader_opts: reader.import_options(times)),
+      else: Reading.open(path)
+  end
+
+  defp open_all([], _times),
     do: {:error, Error.new(:no_store, "no stores to put together", fix: "name at least one")}
 
-  defp open_all(paths) do
+  defp open_all(paths, times) do
     Enum.reduce_while(Enum.reverse(paths), {:ok, []}, fn path, {:ok, stores} ->
-      case Reading.open(path) do
+      case open(path, times) do
         {:ok, store} -> {:cont, {:ok, [store | stores]}}
         error -> {:halt, error}
       end

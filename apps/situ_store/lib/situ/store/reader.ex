@@ -33,6 +33,11 @@ defmodule Situ.Store.Reader do
   `why`).
   """
   @callback info(state()) :: map()
+  @doc """
+  The options that a recording is opened with when it is copied into a store, so that nothing of it is lost; `times` is
+  `:header` or `:record`.
+  """
+  @callback import_options(times :: :header | :record) :: keyword()
   @doc "The streams there are now."
   @callback streams(state()) :: [StreamInfo.t()]
   @doc "One of them, found by its name without the others."
@@ -83,7 +88,8 @@ defmodule Situ.Store.Reader do
   @doc "Files that belong to the recording and are not there."
   @callback missing_files(state()) :: [String.t()]
 
-  @optional_callbacks stream_named: 2,
+  @optional_callbacks import_options: 1,
+                      stream_named: 2,
                       schemes: 0,
                       resolve: 1,
                       within: 1,

@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Mcap.Channel do
   @moduledoc false
   # How one topic is written: settled by its options and its first message.
   alias Situ.Bridge.Format.Value
+  alias Situ.Bridge.Mcap.Extra
   alias Situ.Bridge.{Foxglove, Protobuf}
   alias Situ.Bridge.Protobuf.Descriptor
   alias Situ.Bridge.Ros.{Definition, Library, Optics, Standard, Wire}
@@ -15,7 +16,9 @@ defmodule Situ.Bridge.Mcap.Channel do
   @doc "The channel that fits the first message."
   @spec new(String.t(), keyword(), term()) :: {:ok, t()} | {:error, Error.t()}
   def new(topic, opts, first) do
-    with {:ok, channel} <- made(topic, opts[:encoding], opts, first),
+    {value, _extra} = Extra.split(first)
+
+    with {:ok, channel} <- made(topic, opts[:encoding], opts, value),
          do: {:ok, %{channel | frame: opts[:frame] || ""}}
   end
 
@@ -143,23 +146,29 @@ defmodule Situ.Bridge.Mcap.Channel do
 
   @doc "A message's bytes. Error: `:not_writable`."
   @spec encode(t(), term(), Situ.Time.t()) :: {:ok, binary()} | {:error, Error.t()}
-  def encode(%{encoding: :json} = channel, data, _time) do
+  def encode(channel, {:with_extra, value, extra}, time), do: encode(channel, value, extra, time)
+  def encode(channel, value, time), do: encode(channel, value, %{}, time)
+
+  defp encode(%{encoding: :json} = channel, data, _extra, _time) do
     {:ok, data |> Value.plain() |> object() |> Situ.JSON.encode()}
   catch
     {:not_writable, what} ->
       {:error, not_writable(channel, "#{inspect(what, limit: 5)} is nothing that JSON has")}
   end
 
-  def encode(%{encoding: :protobuf, schema: {type, _, _}} = channel, data, time) do
-    message = Foxglove.Standard.to(type, data, time, channel.frame)
+  defp encode(%{encoding: :protobuf, schema: {type, _, _}} = channel, data, extra, time) do
+    message = type |> Foxglove.Standard.to(data, time, channel.frame) |> Extra.put(extra)
 
     with {:error, why} <- Protobuf.Writer.encode(channel.definition, type, message),
          do: {:error, not_writable(channel, why)}
   end
 
-  def encode(%{definition: %{name: name} = definition} = channel, data, time) do
+  defp encode(%{definition: %{name: name} = definition} = channel, data, extra, time) do
     message =
-      name |> Standard.to(data, time, channel.frame) |> spelled_for(name, channel.encoding)
+      name
+      |> Standard.to(data, time, channel.frame)
+      |> Extra.put(extra)
+      |> spelled_for(name, channel.encoding)
 
     with {:error, why} <- Wire.encode(definition, message, channel.encoding),
          do: {:error, not_writable(channel, why)}

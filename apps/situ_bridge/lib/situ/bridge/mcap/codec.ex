@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Mcap.Codec do
   @moduledoc false
   # A channel's bytes as terms, by its message encoding and its schema. Unknown types stay bytes, with a note.
   alias Situ.Bridge.Foxglove
+  alias Situ.Bridge.Mcap.Extra
   alias Situ.Bridge.Protobuf
   alias Situ.Bridge.Ros.{Definition, Standard, Wire}
 
@@ -9,23 +10,25 @@ defmodule Situ.Bridge.Mcap.Codec do
 
   # `by`: what bytes are read by; `maps?`: standard messages stay maps, with all that is in them.
   @enforce_keys [:kind]
-  defstruct [:kind, :by, :name, topic: "", maps?: false]
+  defstruct [:kind, :by, :name, topic: "", maps?: false, extra?: false]
 
   @type t :: %__MODULE__{
           kind: :json | :bytes | :ros1 | :cdr | :protobuf,
           by: Definition.t() | Protobuf.schema() | nil,
           name: String.t() | nil,
           topic: String.t(),
-          maps?: boolean()
+          maps?: boolean(),
+          extra?: boolean()
         }
 
   @schema [
     messages: [
-      type: {:in, [:situ, :maps]},
+      type: {:in, [:situ, :maps, :apart]},
       default: :situ,
       doc:
         "Standard messages as Situ's types (pictures, clouds, poses, inertial readings ...), or all as maps with " <>
-          "everything that is in them, such as frames of reference and covariances."
+          "everything that is in them, such as frames of reference and covariances. `:apart`: as Situ's types, and " <>
+          "what these have no place for in a second stream, NAME.extra; so are recordings imported."
     ]
   ]
 
@@ -88,8 +91,22 @@ defmodule Situ.Bridge.Mcap.Codec do
   @spec shaped(t(), :situ | :maps) :: t()
   def shaped(codec, messages), do: %{codec | maps?: messages == :maps}
 
+  @doc "Whether messages may hold more than the value of their type has a place for."
+  @spec lossy?(t(), Situ.Type.t()) :: boolean()
+  def lossy?(%{kind: kind}, {:or, _}), do: kind in [:ros1, :cdr, :protobuf]
+  def lossy?(_codec, _type), do: false
+
+  @doc "The codec of the second stream: fields of messages that their values have no place for."
+  @spec extra(t()) :: t()
+  def extra(codec), do: %{codec | maps?: false, extra?: true}
+
   @doc "One message's data, or why it is none."
   @spec decode(t(), binary()) :: {:ok, term()} | {:error, String.t()}
+  def decode(%{extra?: true} = codec, bytes) do
+    with {:ok, message} <- decode(%{codec | extra?: false, maps?: true}, bytes),
+         do: {:ok, Extra.of(message, again(codec, message))}
+  end
+
   def decode(%{kind: :bytes}, bytes), do: {:ok, bytes}
 
   def decode(%{kind: :json}, bytes) do
@@ -104,7 +121,20 @@ defmodule Situ.Bridge.Mcap.Codec do
     end
   end
 
-  def decode(codec, bytes) do
+  def decode(codec, bytes), do: decode_ros(codec, bytes)
+
+  # The message that is written for its value.
+  defp again(%{kind: :protobuf, name: name}, message) do
+    value = Foxglove.Standard.from(name, message)
+    Foxglove.Standard.to(name, value, 0)
+  end
+
+  defp again(%{name: name, topic: topic}, message) do
+    value = Standard.from(name, message, topic)
+    Standard.to(name, value, 0)
+  end
+
+  defp decode_ros(codec, bytes) do
     with {:ok, message} <- Wire.decode(codec.by, bytes, codec.kind) do
       if codec.maps?,
         do: {:ok, message},

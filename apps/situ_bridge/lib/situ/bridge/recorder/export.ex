@@ -3,16 +3,21 @@ defmodule Situ.Bridge.Recorder.Export do
   # A recording as a file of another format: all its streams' messages, merged by time.
   alias Situ.Bridge.Foxglove.Messages
   alias Situ.Bridge.Ros.{Definition, Library}
+  alias Situ.Bridge.Mcap
+  alias Situ.Bridge.Mcap.Extra
   alias Situ.{Error, Store}
+  alias Situ.Store.StreamInfo
 
   def export(module, store, path, opts) do
     {wanted, opts} = Keyword.pop(opts, :streams)
     {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
     {progress, opts} = Keyword.pop(opts, :progress, fn _written -> :ok end)
     {topic, opts} = Keyword.split(opts, Keyword.keys(module.topic_options()))
-    infos = Map.new(Store.streams(store), &{&1.name, &1})
+    streams = Store.streams(store)
+    infos = Map.new(streams, &{&1.name, &1})
     messages = merged(store, wanted, reading, topic[:encoding])
-    topic = &typed(topic, infos[&1].type_name)
+    topics = Map.new(streams, &{&1.name, typed(topic, &1, module)})
+    topic = &Map.fetch!(topics, &1)
 
     job = %{
       module: module,
@@ -88,6 +93,31 @@ defmodule Situ.Bridge.Recorder.Export do
       else: store
   end
 
+  # An imported stream knows the type that it had.
+  defp typed(topic, info, module) do
+    with nil <- topic[:type],
+         {:ok, %{"schema" => %{"name" => name} = schema}} <- StreamInfo.metadata(info),
+         {:ok, opts} <- recorded(name, schema, module, topic[:encoding] || :auto) do
+      opts ++ Keyword.drop(topic, [:encoding])
+    else
+      _ -> typed(topic, info.type_name)
+    end
+  end
+
+  defp recorded(name, %{"encoding" => "ros1msg", "definition" => text}, _module, encoding)
+       when encoding in [:auto, :ros1],
+       do: {:ok, [type: name, definition: text]}
+
+  defp recorded(name, %{"encoding" => "ros2msg", "definition" => text}, Mcap.Writer, encoding)
+       when encoding in [:auto, :cdr],
+       do: {:ok, [type: name, definition: text, encoding: :cdr]}
+
+  defp recorded(name, %{"encoding" => "protobuf", "definition" => set}, Mcap.Writer, encoding)
+       when encoding in [:auto, :protobuf],
+       do: {:ok, [type: name, definition: set, encoding: :protobuf]}
+
+  defp recorded(_name, _schema, _module, _encoding), do: :error
+
   defp typed(topic, type) do
     if topic[:type] == nil and known?(type, topic[:encoding]),
       do: Keyword.put(topic, :type, Definition.plain(type)),
@@ -100,11 +130,16 @@ defmodule Situ.Bridge.Recorder.Export do
 
   # Holds each stream's next message; the earliest goes first.
   defp merged(store, wanted, reading, encoding) do
+    streams = Store.streams(store)
+    extras = Extra.streams(streams)
+    folded = for {_, extra} <- extras, do: extra.name
+
     heads =
-      for info <- Store.streams(store),
+      for info <- streams,
           wanted == nil or info.name in wanted,
+          info.name not in folded,
           info.count > 0,
-          from = {whole(store, info.type_name, encoding), info, reading},
+          from = {whole(store, info.type_name, encoding), {info, extras[info.name]}, reading},
           head = head(from, first(store, info, reading[:from])),
           do: head
 
@@ -113,7 +148,7 @@ defmodule Situ.Bridge.Recorder.Export do
         nil
 
       heads ->
-        {[message | rest], _, {_, info, _}} =
+        {[message | rest], _, {_, {info, _}, _}} =
           first = Enum.min_by(heads, fn {[m | _], _, _} -> m.originating_time end)
 
         {{info.name, message}, advance(heads, first, rest)}
@@ -135,12 +170,12 @@ defmodule Situ.Bridge.Recorder.Export do
   defp advance(heads, {_, next, stream} = first, rest),
     do: [{rest, next, stream} | List.delete(heads, first)]
 
-  defp head({store, info, reading} = stream, from) do
+  defp head({store, {info, extra}, reading} = stream, from) do
     to = reading[:to] || :unbounded
 
     case store.module.read(store.state, info, from, to, 100, reading) do
       {:ok, [], _} -> nil
-      {:ok, messages, next} -> {messages, next, stream}
+      {:ok, messages, next} -> {Extra.join(messages, store, extra, from), next, stream}
       {:error, error} -> raise error
     end
   end

@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.Ros.Bag do
-  alias Situ.Bridge.Mcap.Codec
+  alias Situ.Bridge.Mcap.{Codec, Extra}
   alias Situ.Bridge.Recorder.{Export, Exporter}
   alias Situ.Bridge.Ros.Bag.{Chunk, Contents, RealSense, Record, Writer}
   alias Situ.Bridge.Ros.Places
@@ -126,15 +126,34 @@ defmodule Situ.Bridge.Ros.Bag do
         codec: Codec.shaped(codec, opts[:messages]),
         note: note,
         count: length(places),
-        places: Places.pack(places)
+        places: Places.pack(places),
+        schema: if(opts[:messages] == :apart, do: {type, "ros1msg", definition})
       }
 
-      {:cont, {:ok, [track | tracks]}}
+      {:cont, {:ok, extra(track, opts[:messages]) ++ tracks}}
     end)
     |> then(fn {:ok, tracks} ->
       {:ok, tracks |> Enum.reverse() |> RealSense.tracks(&first(state, &1))}
     end)
   end
+
+  defp extra(%{codec: codec, situ: situ} = track, :apart) do
+    if Codec.lossy?(codec, situ) do
+      more = %{
+        track
+        | id: Extra.number(track.id),
+          codec: Codec.extra(codec),
+          situ: :map,
+          note: nil
+      }
+
+      [%{more | topic: Extra.name(track.topic), type: "map", schema: nil}, track]
+    else
+      [track]
+    end
+  end
+
+  defp extra(track, _messages), do: [track]
 
   defp first(state, track) do
     with %{count: count} when count > 0 <- track,
@@ -189,11 +208,23 @@ defmodule Situ.Bridge.Ros.Bag do
       first: first,
       last: last,
       first_creation: first,
-      last_creation: last
+      last_creation: last,
+      supplemental: supplemental(track.schema)
     }
 
     {info, MapSet.put(taken, name)}
   end
+
+  defp supplemental(nil), do: nil
+
+  defp supplemental({name, language, definition}) do
+    schema = %{"name" => name, "encoding" => language, "definition" => definition}
+    {"map", :erlang.term_to_binary(%{"schema" => schema})}
+  end
+
+  @impl true
+  def import_options(times),
+    do: [messages: :apart, times: if(times == :header, do: :header, else: :log)]
 
   @doc false
   # For `Situ.Bridge.Recorder.Export`: everything that is in a message.

@@ -55,6 +55,9 @@ defmodule Situ.CLI.Store.Arguments do
     spans = Keyword.take(opts, [:start, :length])
     streams = chosen(opts[:stream] || [], opts[:exclude] || [])
 
+    stamps = %{"header" => [times: :header], "record" => [times: :record]}
+    spans = spans ++ Map.get(stamps, opts[:times], [])
+
     [{:progress, progress} | damage(opts) ++ times(opts) ++ spans] ++
       streams ++ compression(opts[:compression])
   end

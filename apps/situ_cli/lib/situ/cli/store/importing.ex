@@ -25,7 +25,9 @@ defmodule Situ.CLI.Store.Importing do
         about: """
         Recordings (MCAP, bags, films, sound, CSV ...) as `situ store copy` makes them; of several, as `concat`. Tables
         (Parquet, Arrow, Protobuf, and CSV, JSON and MessagePack as `situ store save` writes them) become a stream each,
-        called like the file.
+        called like the file. Of messages of ROS and Foxglove that become Situ's types, the header and the fields that
+        these have no place for (frames, covariances ...) are kept in a second stream, NAME.extra, and `situ store save`
+        puts them back.
         """,
         arguments: [
           path: [
@@ -87,7 +89,12 @@ defmodule Situ.CLI.Store.Importing do
       Option.new(:from, :time, "from this originating time on"),
       Option.new(:to, :time, "up to this originating time; both ends are included"),
       Option.new(:compression, ["none", "gzip", "lz4", "zstd"], "of what is made"),
-      Option.new(:skip_damage, :flag, "leave out what is damaged; without it that is an error")
+      Option.new(:skip_damage, :flag, "leave out what is damaged; without it that is an error"),
+      Option.new(
+        :times,
+        ["header", "record"],
+        "of bags and MCAP files: originating times are the stamps of headers (default), or the times of recording"
+      )
     ]
   end
 

@@ -52,7 +52,10 @@ defmodule Situ.CLI.Store.Pyramid do
 
   defp build(path, opts) do
     copied =
-      Progress.show("build", opts, &Store.copy(path, opts[:build], Arguments.copying(opts, &1)))
+      Progress.show("build", opts, fn progress ->
+        # The bins are to be those that the file itself shows.
+        Store.copy(path, opts[:build], [times: :record] ++ Arguments.copying(opts, progress))
+      end)
 
     made = Error.unwrap!(copied)
     if opts[:json], do: Output.json(%{path: made}), else: Output.puts(made)

@@ -140,7 +140,7 @@ defmodule Situ.CLI.Store.ImportingTest do
   test "a recording, several, and one table by a name of its own", %{tmp_dir: root} do
     situ(["import", @drive, Path.join(root, "drive"), "-s", "/imu/*", "-x", "*mag"])
 
-    assert [%{name: "/imu/data_raw", count: 250}] =
+    assert [%{name: "/imu/data_raw", count: 250}, %{name: "/imu/data_raw.extra", count: 250}] =
              Store.streams(Store.open!(Path.join(root, "drive")))
 
     path = recorded(root, [{"A", [1, 2]}])
