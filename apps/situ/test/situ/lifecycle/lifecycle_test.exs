@@ -50,7 +50,7 @@ defmodule Situ.LifecycleTest do
 
   defp lives, do: {graph(), list(wish()), integer(1, 1_000_000)}
 
-  property "it is never stuck, and ends once", numtests: 400 do
+  property "it is never stuck, and ends once", numtests: 150 do
     forall spec <- lives() do
       world = live(spec)
       assert world.life.phase == :completed
@@ -62,7 +62,7 @@ defmodule Situ.LifecycleTest do
 
   # `{:refuse, id}` and `{:kill, id}` of what is added: the world numbers it from 100.
   property "the server is told to do nothing with a stage that it has dropped, and drops all that were removed",
-    numtests: 400 do
+    numtests: 150 do
     changes = [
       {:remove, list(one_of([integer(1, 10), integer(100, 104)]))},
       {:grow, :restart},
@@ -81,7 +81,7 @@ defmodule Situ.LifecycleTest do
     end
   end
 
-  property "every output closes once, but those of stages that are gone before", numtests: 400 do
+  property "every output closes once, but those of stages that are gone before", numtests: 150 do
     forall spec <- lives() do
       world = live(spec)
       closed = for {:action, {:tell, id, {:finalize, _}}} <- world.log, do: id
@@ -95,7 +95,7 @@ defmodule Situ.LifecycleTest do
     end
   end
 
-  property "nothing closes before what it listens to, but to cut a cycle", numtests: 400 do
+  property "nothing closes before what it listens to, but to cut a cycle", numtests: 150 do
     forall {spec, seed} <- {graph(), integer(1, 1_000_000)} do
       graph = made(spec)
       world = World.live(graph, [{:stop, 3}], seed)
@@ -143,7 +143,7 @@ defmodule Situ.LifecycleTest do
     end
   end
 
-  property "whoever stops a part is answered once", numtests: 200 do
+  property "whoever stops a part is answered once", numtests: 100 do
     forall {spec, parts, seed} <- {graph(), list(list(integer(1, 10))), integer(1, 1_000_000)} do
       world = World.live(made(spec), Enum.map(parts, &{:part, &1}) ++ [{:stop, 3}], seed)
       asked = for {:event, {:stop_part, _, _, %{from: from}}} <- world.log, do: from

@@ -8,11 +8,15 @@ defmodule Situ.Pipeline.StressTest do
   @moduletag :capture_log
   @moduletag timeout: 120_000
 
-  test "a thousand random schedules of start, stop and kill end in time with no process left" do
-    :rand.seed(:exsss, {1, 2, 3})
+  # How many of each; `SITU_TIMES` searches longer.
+  @schedules 100 * Situ.Test.Property.times()
+  @pipelines 400 * Situ.Test.Property.times()
+
+  test "random schedules of start, stop and kill end in time with no process left" do
+    :rand.seed(:exsss, {ExUnit.configuration()[:seed], 2, 3})
     before = Process.list() |> MapSet.new()
 
-    for n <- 1..1_000 do
+    for n <- 1..@schedules do
       {us, result} = :timer.tc(fn -> schedule(:rand.uniform(8)) end)
       assert us < 60_000_000, "schedule #{n} took #{us} us"
       assert match?({:ok, _}, result) or match?({:error, %Situ.Error{}}, result), inspect(result)
@@ -21,11 +25,11 @@ defmodule Situ.Pipeline.StressTest do
     assert leftover(before, 200) == []
   end
 
-  test "thousands of short pipelines leave no processes, tables, atoms or memory behind" do
+  test "many short pipelines leave no processes, tables, atoms or memory behind" do
     run = fn -> {:ok, _} = Pipeline.run(&build(&1, 5), []) end
     for _ <- 1..200, do: run.()
     before = {MapSet.new(Process.list()), length(:ets.all()), :erlang.system_info(:atom_count)}
-    for _ <- 1..2_000, do: run.()
+    for _ <- 1..@pipelines, do: run.()
     {processes, tables, atoms} = before
     assert leftover(processes, 200) == []
     assert length(:ets.all()) <= tables + 2

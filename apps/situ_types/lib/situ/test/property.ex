@@ -20,7 +20,8 @@ defmodule Situ.Test.Property do
   Options of `property`: `numtests:` (default 100), `max_size:` (default 42, PropEr's own), `context: pattern` to
   match the ExUnit context. Generators are those of `Situ.Test.Gen`, which `use` imports.
 
-  `SITU_TIMES=20 mix test` tries every property twenty times as often: a search for rare counterexamples.
+  `SITU_TIMES=20 mix test` tries every property twenty times as often: a search for rare counterexamples. The inputs
+  follow from ExUnit's seed: `mix test --seed 1234` tries the same ones again.
 
   Only test code may call this: `:proper` is not started or shipped with an application.
   """
@@ -66,14 +67,33 @@ defmodule Situ.Test.Property do
       {:max_size, Keyword.get(opts, :max_size, 42)}
     ]
 
-    case :proper.quickcheck(:proper.forall(generator, &holds?(fun, &1)), flags) do
+    case :proper.quickcheck(:proper.forall(seeded(generator), &holds?(fun, &1)), flags) do
       true -> :ok
       {:error, reason} -> fail("the property could not be checked: #{inspect(reason)}", [])
       [input | _] -> explain(fun, input)
     end
   end
 
-  defp times, do: "SITU_TIMES" |> System.get_env("1") |> String.to_integer()
+  @doc """
+  Returns how many times longer than usual a search lasts: `SITU_TIMES`, 1 by default.
+
+      iex> Situ.Test.Property.times() >= 1
+      true
+  """
+  @spec times() :: pos_integer()
+  def times, do: "SITU_TIMES" |> System.get_env("1") |> String.to_integer() |> max(1)
+
+  # PropEr takes no seed: each input gets one from ExUnit's and from its number.
+  defp seeded(generator) do
+    seed = ExUnit.configuration()[:seed] || 0
+    count = :counters.new(1, [])
+
+    :proper_types.lazy(fn ->
+      :counters.add(count, 1, 1)
+      :rand.seed(:exsplus, {seed, :counters.get(count, 1), 0})
+      generator
+    end)
+  end
 
   defp holds?(fun, input) do
     fun.(input) != false

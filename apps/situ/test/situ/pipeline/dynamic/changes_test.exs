@@ -211,7 +211,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
     assert Pipeline.clock(p)
 
     for request <- [{:replace, :all}, {:stop_part, 5, %{}}, {:tap, nil}],
-        do: assert({:error, %{code: :request_failed}} = GenServer.call(p, request))
+        do: assert({:error, %{code: :request_failed}} = GenServer.call(p, request, 60_000))
 
     assert Pipeline.state(p) == :running
     assert {:ok, %{errors: []}} = Pipeline.stop(p)

@@ -11,7 +11,7 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
   @count 2_000
   @changes 25
   @count_per_change div(@count, 2 * @changes)
-  @rounds 2 * String.to_integer(System.get_env("SITU_TIMES", "1"))
+  @rounds 2 * Situ.Test.Property.times()
 
   # A source that is slow enough for changes to happen, and three streams of it.
   defp build(to, changed) do
