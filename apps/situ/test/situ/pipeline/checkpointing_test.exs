@@ -128,7 +128,7 @@ defmodule Situ.Pipeline.CheckpointingTest do
     assert interrupted(3_000, [700, 400]) == expected
   end
 
-  property "wherever it is interrupted" do
+  property "wherever it is interrupted", numtests: 30 do
     expected = reference(600)
 
     forall {a, b} <- {integer(0, 300), integer(0, 200)} do
