@@ -17,8 +17,9 @@ defmodule Situ.Studio.DataSession do
   alias Situ.{Error, Studio}
   alias Studio.{Comparison, Draw, Frame, Source, Visualizer, Visualizers, WholeNumber}
 
-  @max_channels 256
-  @max_wants 256
+  # A stream in a plot has two: one for its window, one for its value at the cursor.
+  @max_channels 512
+  @max_wants 512
   @max_bins 50_000
   # All windows of one request together: a screen of 8,000 pixels with 25 plots.
   @max_bins_at_once 200_000
