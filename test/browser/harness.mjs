@@ -25,10 +25,11 @@ export function near(actual, expected, by, what) {
     throw new Error(`${what}: expected ${expected} within ${by}, got ${actual}`);
 }
 
-// Waits until `probe` in the page is true; it is asked every 30 ms, or with every picture ("raf").
+// Waits until `probe` in the page is true, and answers a handle of its value; it is asked every 30 ms, or with every
+// picture ("raf").
 export async function until(page, probe, what, arg, polling = 30) {
   try {
-    await page.waitForFunction(probe, arg, { timeout: PATIENCE, polling });
+    return await page.waitForFunction(probe, arg, { timeout: PATIENCE, polling });
   } catch (error) {
     throw new Error(`waited in vain until ${what}: ${error.message.split("\n")[0]} at ${page.url()}`);
   }

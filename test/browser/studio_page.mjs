@@ -101,8 +101,7 @@ export async function legendOf(page, stream) {
     const exact = /^at the cursor: (.*)$/m.exec(at.title)?.[1] ?? "";
     return { text: at.textContent, exact };
   };
-  await until(page, find, `the value of ${stream} is told`, stream);
-  return page.evaluate(find, stream);
+  return (await until(page, find, `the value of ${stream} is told`, stream)).jsonValue();
 }
 
 // Puts the mouse where `t` (ns after the start) is on a timeline.
