@@ -1,5 +1,6 @@
 //! BEAM glue of situ_mcap and situ_csv: decode, call, encode. No algorithms here.
 
+mod bytes;
 mod copy;
 mod layout;
 
@@ -8,7 +9,6 @@ use std::path::Path;
 use std::sync::{Mutex, MutexGuard};
 
 use rustler::{Atom, Binary, Encoder, Env, NewBinary, ResourceArc, Term};
-use situ_csv::Values;
 use situ_mcap::{ChannelSpec, Compression, Error, Message, Options, Query, Reader, Times, Writer};
 
 mod atoms {
@@ -84,38 +84,6 @@ fn clamped(time: Term) -> i128 {
                 i128::from(i64::MIN)
             }
         })
-}
-
-/// `{:ok, bytes}` or `{:error, why}`: at most `size` bytes.
-#[rustler::nif(schedule = "DirtyCpu")]
-fn unpack<'a>(env: Env<'a>, compression: String, bytes: Binary<'a>, size: u64) -> Term<'a> {
-    match situ_mcap::unpack(&compression, &bytes, size) {
-        Ok(bytes) => (atoms::ok(), binary(env, &bytes)).encode(env),
-        Err(why) => (atoms::error(), why).encode(env),
-    }
-}
-
-#[rustler::nif(schedule = "DirtyCpu")]
-fn pack_lz4<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
-    match situ_mcap::pack_lz4(&bytes) {
-        Ok(bytes) => (atoms::ok(), binary(env, &bytes)).encode(env),
-        Err(why) => (atoms::error(), why.to_string()).encode(env),
-    }
-}
-
-/// Lines of CSV for columns of `Situ.Store.columns/3`; an empty text for another kind.
-#[rustler::nif(schedule = "DirtyCpu")]
-fn csv_lines<'a>(env: Env<'a>, kind: Atom, times: Binary<'a>, values: Binary<'a>) -> Term<'a> {
-    let values = if kind == atoms::integer() {
-        Values::Integers(&values)
-    } else if kind == atoms::float() {
-        Values::Floats(&values)
-    } else if kind == atoms::boolean() {
-        Values::Booleans(&values)
-    } else {
-        Values::Booleans(&[])
-    };
-    binary(env, &situ_csv::lines(&times, values))
 }
 
 #[rustler::nif(schedule = "DirtyIo")]

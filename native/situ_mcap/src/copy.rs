@@ -55,7 +55,7 @@ impl Selection {
     }
 }
 
-/// What was copied so far.
+/// The parts copied so far.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Copied {
     /// Messages.
@@ -64,7 +64,7 @@ pub struct Copied {
     pub attachments: u64,
     /// Records of metadata.
     pub metadata: u64,
-    /// What could not be copied, in sentences.
+    /// The parts that could not be copied, in sentences.
     pub left_out: Vec<String>,
 }
 
@@ -154,7 +154,7 @@ impl Copy {
         Ok(done)
     }
 
-    /// What was copied so far.
+    /// Returns the parts copied so far.
     pub fn copied(&self) -> &Copied {
         &self.copied
     }

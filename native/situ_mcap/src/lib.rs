@@ -11,6 +11,7 @@ mod file;
 mod layout;
 mod open;
 mod reader;
+mod span;
 mod track;
 mod writer;
 

@@ -199,47 +199,7 @@ impl Reader {
         }
     }
 
-    /// The first and the last time of a channel, and how many messages it has.
-    pub fn span(&self, channel: u16, times: Times) -> Result<Option<(u64, u64, u64)>> {
-        if self.contents.entries.is_none() && !times.in_messages() {
-            return self.indexed_span(channel);
-        }
-        let track = self.track(channel, times)?;
-        let ends = track.entries.first().zip(track.entries.last());
-        Ok(ends.map(|(first, last)| (first.time, last.time, track.entries.len() as u64)))
-    }
-
-    /// By the message indexes of those chunks alone that can hold the first or the last message.
-    fn indexed_span(&self, channel: u16) -> Result<Option<(u64, u64, u64)>> {
-        let mut places: Vec<(u64, u64, u64)> = Vec::new();
-        for chunk in &self.contents.chunks {
-            if let Some(&at) = chunk.indexes.get(&channel) {
-                places.push((chunk.start, chunk.end, at));
-            }
-        }
-        places.sort_unstable();
-        let mut first: Option<u64> = None;
-        for (start, _, at) in &places {
-            if first.is_some_and(|first| *start > first) {
-                break;
-            }
-            let found = self.index(channel, *at)?.iter().map(|e| e.log_time).min();
-            first = [first, found].into_iter().flatten().min();
-        }
-        places.sort_unstable_by_key(|(_, end, _)| std::cmp::Reverse(*end));
-        let mut last: Option<u64> = None;
-        for (_, end, at) in &places {
-            if last.is_some_and(|last| *end < last) {
-                break;
-            }
-            let found = self.index(channel, *at)?.iter().map(|e| e.log_time).max();
-            last = [last, found].into_iter().flatten().max();
-        }
-        let count = self.contents.counts.get(&channel).copied().unwrap_or(0);
-        Ok(first.zip(last).map(|(first, last)| (first, last, count)))
-    }
-
-    fn index(&self, channel: u16, at: u64) -> Result<Vec<MessageIndexEntry>> {
+    pub(crate) fn index(&self, channel: u16, at: u64) -> Result<Vec<MessageIndexEntry>> {
         let place = self.bytes.place(at)?;
         let place =
             place.ok_or_else(|| Error::Damaged(at, "no message index is there".to_string()))?;
@@ -350,13 +310,13 @@ impl Reader {
     }
 
     /// The index of a channel, made when it is first asked for.
-    fn track(&self, channel: u16, times: Times) -> Result<Arc<Track>> {
+    pub(crate) fn track(&self, channel: u16, times: Times) -> Result<Arc<Track>> {
         if let Some(track) = locked(&self.tracks).get(&(channel, times)) {
             return Ok(track.clone());
         }
         let mut entries = self.entries(channel)?;
         if times.in_messages() {
-            // What cannot be read keeps the time of the index: reading it is an error, knowing of it is none.
+            // A message that cannot be read keeps the time of the index: reading it is an error, knowing of it is none.
             let mut damaged = None;
             for entry in &mut entries {
                 if entry.chunk != LOOSE && damaged == Some(entry.chunk) {

@@ -228,7 +228,7 @@ defmodule Situ.Bridge.McapRecords do
     <<byte_size(bytes)::little-32>> <> bytes
   end
 
-  @doc "What is in a file, whatever its indexes say; its records in their order."
+  @doc "Returns the contents of a file, whatever its indexes say; its records in their order."
   @spec read(binary()) :: map()
   def read(@magic <> bytes) do
     file = %{

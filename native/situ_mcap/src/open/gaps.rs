@@ -1,4 +1,4 @@
-//! What lies between the records that an index names: an index may leave attachments and metadata out.
+//! Records between those that an index names: an index may leave attachments and metadata out.
 
 use mcap::records::op;
 

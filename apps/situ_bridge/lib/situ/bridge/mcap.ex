@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.Mcap do
-  alias Situ.Bridge.Mcap.{Codec, Copy, Extra, Failure, Writer}
+  alias Situ.Bridge.Mcap.{Codec, Copy, Extra, Failure, Sizes, Writer}
   alias Situ.Bridge.Native
   alias Situ.Bridge.Recorder.{Export, Exporter}
   alias Situ.{Error, Message}
@@ -353,25 +353,7 @@ defmodule Situ.Bridge.Mcap do
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
   def sizes(%Situ.Store.Handle{state: %__MODULE__{} = state} = store) do
     topics = Map.new(channels(store), &{&1.id, &1.topic})
-    sizes(state, 0, topics, Map.new(topics, fn {_, topic} -> {topic, 0} end))
-  end
-
-  defp sizes(state, chunk, topics, sums) do
-    case Failure.wrap(Native.mcap_sizes(state.ref, chunk), state.path) do
-      {:ok, nil} ->
-        {:ok, sums}
-
-      {:ok, sizes} ->
-        sums =
-          for {id, bytes} <- sizes, topic = topics[id], reduce: sums do
-            sums -> Map.update!(sums, topic, &(&1 + bytes))
-          end
-
-        sizes(state, chunk + 1, topics, sums)
-
-      error ->
-        error
-    end
+    Sizes.sum(state, 0, topics, Map.new(topics, fn {_, topic} -> {topic, 0} end))
   end
 
   @doc "The bytes of the first attachment of this name. Error: `:no_attachment`."
@@ -427,7 +409,8 @@ defmodule Situ.Bridge.Mcap do
   @doc """
   Copies an opened MCAP file into a new one, byte for byte: messages with both their times and sequence numbers,
   schemas, channels with their metadata, attachments, records of metadata, the header, also those that Situ cannot
-  interpret. `metadata:` replaces records of the same names. `left_out` says in sentences what could not be read (with `skip_damage: true`) or has no place.
+  interpret. `metadata:` replaces records of the same names.
+  `left_out` says in sentences what could not be read (with `skip_damage: true`) or has no place.
 
   #{Situ.Options.docs(Copy.options())}
   """

@@ -8,7 +8,7 @@ defmodule Situ.Bridge.ImportTest do
   @bag Path.expand("../../data/ros1_imu_gps_cam.bag", __DIR__)
   @mcap Path.expand("../../data/ros1_imu_gps_cam.mcap", __DIR__)
 
-  # What is in the file, decoded by nobody.
+  # The messages in the file, decoded by nobody.
   defp raw(path) do
     %{state: %{ref: ref}} = store = Store.open!(path)
 

@@ -49,7 +49,7 @@ defmodule Situ.Bridge.Mcap.Copy do
   def copy(state, path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
          {:ok, {copy, writer}} <- begin(state, path, opts) do
-      # What goes wrong is in the original, unless the disk is full.
+      # An error of a step names the original, unless the disk is full.
       with {:ok, copied} <- steps(copy, opts[:progress] || fn _ -> :ok end, state.path),
            :ok <- Writer.carry(writer, opts, path),
            {:ok, _} <- Failure.wrap(Native.mcap_finish(writer), path),

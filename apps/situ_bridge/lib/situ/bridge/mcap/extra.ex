@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Mcap.Extra do
   @spec number(non_neg_integer()) :: non_neg_integer()
   def number(id), do: id + @number
 
-  @doc "What of a message is not in another one, and its header."
+  @doc "Returns the fields of a message that another one does not have, and its header."
   @spec of(map(), map()) :: map()
   def of(message, again) do
     extra = without(message, again)

@@ -79,7 +79,7 @@ defmodule Situ.Bridge.Recorder.Server do
     {:stop, :normal, %{state | writer: nil}}
   end
 
-  # What fails here fails again, and is heard of, when the next messages come.
+  # A failure here comes again, and is reported, when the next messages come.
   defp flush(state) do
     case state.module.flush(state.writer) do
       {:ok, writer} -> %{state | writer: writer, dirty: false}

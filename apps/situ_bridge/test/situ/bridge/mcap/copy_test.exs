@@ -74,7 +74,7 @@ defmodule Situ.Bridge.Mcap.CopyTest do
         assert {features, compare(got, unquote(order))} ==
                  {features, compare(want, unquote(order))}
 
-        # What was written opens by its own index.
+        # The new file opens by its own index.
         assert %{closed?: true, damage: []} = Store.info(Store.open!(out))
       end
     end

@@ -1,0 +1,26 @@
+defmodule Situ.Bridge.Mcap.Sizes do
+  @moduledoc false
+  # The bytes of each topic, chunk by chunk.
+  alias Situ.Bridge.Mcap.Failure
+  alias Situ.Bridge.Native
+
+  @spec sum(struct(), non_neg_integer(), map(), map()) ::
+          {:ok, %{String.t() => non_neg_integer()}} | {:error, Situ.Error.t()}
+  def sum(state, chunk, topics, sums) do
+    case Failure.wrap(Native.mcap_sizes(state.ref, chunk), state.path) do
+      {:ok, nil} ->
+        {:ok, sums}
+
+      {:ok, sizes} ->
+        sums =
+          for {id, bytes} <- sizes, topic = topics[id], reduce: sums do
+            sums -> Map.update!(sums, topic, &(&1 + bytes))
+          end
+
+        sum(state, chunk + 1, topics, sums)
+
+      error ->
+        error
+    end
+  end
+end
