@@ -75,8 +75,10 @@ defmodule Situ.Annotation.EditorState do
 
   defp settle({:ok, state}, _lock), do: {:ok, unlock(state)}
 
+  defp settle(error, nil), do: error
+
   defp settle(error, lock) do
-    if lock, do: FileLock.release(lock)
+    FileLock.release(lock)
     error
   end
 

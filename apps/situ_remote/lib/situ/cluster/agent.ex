@@ -299,7 +299,12 @@ defmodule Situ.Cluster.Agent do
   defp remove(state, name, done) do
     {gone, kept} = Enum.split_with(state.runners, fn {{of, _}, _} -> of == name end)
     pids = for {_, pid} <- gone, do: pid
-    {:ok, _} = Task.start_link(fn -> Runners.dismiss(pids) && done.() end)
+    {:ok, _} =
+      Task.start_link(fn ->
+        :ok = Runners.dismiss(pids)
+        done.()
+      end)
+
     runners = Map.new(kept)
     routes = Map.reject(state.routes, fn {{of, _}, _} -> of == name end)
     deployments = Map.delete(state.deployments, name)

@@ -169,8 +169,18 @@ defmodule Situ.Bridge.Arrow.File do
 
     case types do
       %{^id => type} ->
-        place = %{type: type, dictionary: nil, node: 0, buffer: 0, view: 0, children: []}
-        column = Map.put(place, :name, "dictionary #{id}")
+        column = %{
+          name: "dictionary #{id}",
+          type: type,
+          time?: false,
+          node: 0,
+          buffer: 0,
+          view: 0,
+          dictionary: nil,
+          index: nil,
+          children: []
+        }
+
         entries = block |> Batch.start({bytes, at}, read) |> Batch.column(column, %{})
         entries = Values.read(entries, 0, entries.rows)
         delta? = FlatBuffer.number(bytes, root, 2, :u8, 0) == 1

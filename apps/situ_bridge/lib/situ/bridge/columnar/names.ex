@@ -9,7 +9,8 @@ defmodule Situ.Bridge.Columnar.Names do
       iex> for column <- Situ.Bridge.Columnar.Names.distinguish(columns), do: column.name
       ["x", "x_2", "x_1", "x_3"]
   """
-  @spec distinguish([column]) :: [column] when column: %{name: String.t()}
+  @spec distinguish([column]) :: [column]
+        when column: %{required(:name) => String.t(), optional(atom()) => term()}
   def distinguish(columns) do
     taken = MapSet.new(columns, & &1.name)
     {columns, _} = Enum.map_reduce(columns, {MapSet.new(), taken, %{}}, &rename/2)
