@@ -299,6 +299,7 @@ defmodule Situ.Cluster.Agent do
   defp remove(state, name, done) do
     {gone, kept} = Enum.split_with(state.runners, fn {{of, _}, _} -> of == name end)
     pids = for {_, pid} <- gone, do: pid
+
     {:ok, _} =
       Task.start_link(fn ->
         :ok = Runners.dismiss(pids)
