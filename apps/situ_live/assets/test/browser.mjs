@@ -155,6 +155,8 @@ try {
   await page.click("#lr");
   await page.waitForSelector("#other");
   check("navigate to another view", page.url().endsWith("/other") && (await page.title()) === "other");
+  // Leaving a page while its socket connects makes the browser write a warning.
+  await page.waitForSelector(".phx-connected");
   await page.click("#home");
   await page.waitForSelector("#count");
   // The two have different sessions, so this was a page load: its buttons need a server first.
