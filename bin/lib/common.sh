@@ -130,8 +130,10 @@ start_vm() {
   cd "$SITU_ROOT/bin/lib"
   # A dump holds everything the machine knows, tokens and recordings too: none is written, unless ERL_CRASH_DUMP names it.
   [ -n "${ERL_CRASH_DUMP:-}" ] || export ERL_CRASH_DUMP_SECONDS=0
-  # Standard output is for what was asked for: warnings of Erlang's and of Elixir's logger go to standard error.
-  local erlang_log='[{handler,default,logger_std_h,#{config=>#{type=>standard_error}}}]'
+  # Standard output is for results: warnings of Erlang's and of Elixir's logger go to standard error. Reports of
+  # supervisors stay out, as with Elixir's logger: a reader that closes the pipe early (head) is not worth one.
+  local erlang_log="[{handler,default,logger_std_h,#{config=>#{type=>standard_error},"
+  erlang_log+="filters=>[{reports,{fun'logger_filters':domain/2,{stop,sub,[otp,sasl]}}}]}}]"
   # shellcheck disable=SC2086
   exec erl -boot no_dot_erlang -noshell +Bd $flags \
     -pa "$elixir"/lib/*/ebin ${yaws:+"$yaws"} "$SITU_ROOT"/_build/prod/lib/*/ebin \

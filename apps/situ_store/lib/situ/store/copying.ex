@@ -26,6 +26,12 @@ defmodule Situ.Store.Copying do
         "Of bags and MCAP files: originating times are the stamps of headers, where a message has one, or the times " <>
           "of recording."
     ],
+    empty: [
+      type: {:in, [:allow, :refuse]},
+      default: :allow,
+      doc:
+        "Whether an interval without messages gives a store without messages, or the error `:empty_interval`."
+    ],
     versioned: [type: :boolean, default: true, doc: "Make a sub-folder `NAME.NNNN`."],
     durability: [
       type: :any,
@@ -111,7 +117,7 @@ defmodule Situ.Store.Copying do
 
   @doc """
   Cuts an interval out: `from:` and `to:` (times), or `start:` and `length:` (ns from the store's first message). Else
-  as `copy/3`. Error: `:empty_interval` when no message lies in it.
+  as `copy/3`.
   """
   @spec crop(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
@@ -163,6 +169,7 @@ defmodule Situ.Store.Copying do
     infos = for {_, info} <- sources, info.count > 0, do: info
 
     cond do
+      opts[:empty] == :allow -> :ok
       opts[:from] == nil and opts[:to] == nil -> :ok
       infos == [] -> :ok
       Enum.any?(sources, &any_within?(&1, wanted)) -> :ok

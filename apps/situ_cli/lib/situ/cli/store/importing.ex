@@ -163,7 +163,7 @@ defmodule Situ.CLI.Store.Importing do
 
     result =
       Progress.show("import", opts, fn progress ->
-        copying = Arguments.copying(opts, progress)
+        copying = [{:empty, :refuse} | Arguments.copying(opts, progress)]
 
         case paths do
           [path] -> Store.copy(path, out, copying)

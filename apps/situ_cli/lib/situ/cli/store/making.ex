@@ -172,7 +172,7 @@ defmodule Situ.CLI.Store.Making do
   defp skip_damage,
     do: Option.new(:skip_damage, :flag, "leave out what is damaged; without it that is an error")
 
-  defp copying(opts, progress), do: Arguments.copying(opts, progress)
+  defp copying(opts, progress), do: [{:empty, :refuse} | Arguments.copying(opts, progress)]
 
   defp crop(%{path: path, out: out}, opts) do
     if Keyword.take(opts, [:from, :to, :start, :length]) == [],
