@@ -14,6 +14,11 @@ defmodule Situ.KnownModules do
   @doc "Returns the module of this full name (`\"Elixir.My.Pose\"`), loaded, or `:error` if this system has none."
   @spec fetch(String.t()) :: {:ok, module()} | :error
   def fetch(name) do
+    with :error <- find_module(name),
+         do: if(load_own_types?(), do: find_module(name), else: :error)
+  end
+
+  defp find_module(name) do
     module = String.to_existing_atom(name)
     if load?(module), do: {:ok, module}, else: :error
   rescue
@@ -22,8 +27,14 @@ defmodule Situ.KnownModules do
 
   @doc "Loads a module that a loaded application lists, and says whether the module is loaded."
   @spec load?(module()) :: boolean()
-  def load?(module) when is_atom(module) do
-    :erlang.module_loaded(module) or
-      (Application.get_application(module) != nil and Code.ensure_loaded?(module))
+  def load?(module) when is_atom(module),
+    do: :erlang.module_loaded(module) or (listed?(module) and Code.ensure_loaded?(module))
+
+  defp listed?(module) do
+    Application.get_application(module) != nil or
+      (load_own_types?() and Application.get_application(module) != nil)
   end
+
+  # A script that starts no application still knows Situ's own types.
+  defp load_own_types?, do: Application.load(:situ_types) == :ok
 end
