@@ -36,6 +36,7 @@ defmodule Situ.CLI do
   @doc "Runs the command line `argv` and ends the VM with its exit status."
   @spec main([String.t()]) :: no_return()
   def main(argv) do
+    Situ.CLI.ClosedPipe.silence_reports()
     status = run(argv)
     System.halt(status)
   end
