@@ -1,7 +1,7 @@
 defmodule Situ.CLI.ClosedPipe do
   @moduledoc false
-  # A reader that closes the pipe early (`situ store info x | head`) ends Erlang's output process. The supervisor of that
-  # process reports an error, which is no news to somebody who asked for the first lines.
+  # A reader that closes the pipe early (`situ store info x | head`) ends Erlang's output process. The supervisor of
+  # that process reports an error, which is of no use to somebody who asked for the first lines.
 
   @doc "Keeps the reports that follow from a closed pipe out of the log."
   @spec silence_reports() :: :ok
