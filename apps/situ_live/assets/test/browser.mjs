@@ -155,7 +155,7 @@ try {
   await page.click("#lr");
   await page.waitForSelector("#other");
   check("navigate to another view", page.url().endsWith("/other") && (await page.title()) === "other");
-  // Leaving a page while its socket connects makes the browser write a warning.
+  // A page that is left while its socket connects makes the browser write a warning.
   await page.waitForSelector(".phx-connected");
   await page.click("#home");
   await page.waitForSelector("#count");

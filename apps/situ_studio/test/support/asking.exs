@@ -20,6 +20,16 @@ defmodule Situ.Studio.Asking do
     DataSession.new({Source.History, history})
   end
 
+  # A source with one stream of rows {time, data}.
+  def source(stream, rows) do
+    history = History.new(live: false, seconds: 1_000_000)
+
+    for {{t, data}, i} <- Enum.with_index(rows),
+        do: History.put(history, stream, message(t, data, i), 8)
+
+    {Source.History, history}
+  end
+
   def message(time, data, n),
     do: %Situ.Message{
       data: data,

@@ -6,7 +6,7 @@ defmodule Situ.Live.Endpoint do
 
   @cookie_age_s 30 * 86_400
 
-  # Failures of a server are logged with its arguments.
+  # The log shows the arguments of a server that failed.
   @derive {Inspect, except: [:secret, :token, :viewer]}
   @enforce_keys [:ref, :routes, :secret, :ip, :port, :scheme]
   defstruct [

@@ -58,11 +58,11 @@ defmodule Situ.Live.Test do
     }
 
     {:ok, browser} = Browser.start_link(join)
-    joined(ask(browser, :joined), browser)
+    joined(call_browser(browser, :joined), browser)
   end
 
   defp joined(:ok, browser) do
-    {view, _} = ask(browser, :view)
+    {view, _} = call_browser(browser, :view)
     %__MODULE__{browser: browser, view: view}
   end
 
@@ -77,14 +77,14 @@ defmodule Situ.Live.Test do
   @spec render(t()) :: String.t()
   def render(%__MODULE__{} = page) do
     settle(page)
-    ask(page.browser, :html)
+    call_browser(page.browser, :html)
   end
 
   # Once for what was in its mailbox, once for the acknowledgement that its diff brought.
   defp settle(page) do
     for _ <- 1..3, Process.alive?(page.view) do
       :sys.get_state(page.view)
-      ask(page.browser, :title)
+      call_browser(page.browser, :title)
     end
 
     :ok
@@ -193,7 +193,7 @@ defmodule Situ.Live.Test do
   @doc "A raw message, for what a browser would not send."
   @spec push(t(), String.t(), term()) :: :ok | {:ok, map()} | {:error, term()}
   def push(page, event, payload) do
-    case ask(page.browser, {:push, event, payload}) do
+    case call_browser(page.browser, {:push, event, payload}) do
       {:ok, reply} when reply == %{} -> settle(page)
       result -> settled(page, result)
     end
@@ -215,21 +215,21 @@ defmodule Situ.Live.Test do
   @spec pushed(t(), String.t()) :: [map()]
   def pushed(page, name) do
     settle(page)
-    ask(page.browser, {:events, name})
+    call_browser(page.browser, {:events, name})
   end
 
   @doc "Where the view sent the browser: `{:live_patch | :live_redirect | :redirect, path}`, oldest first."
   @spec visits(t()) :: [{atom(), String.t()}]
   def visits(page) do
     settle(page)
-    ask(page.browser, :visits)
+    call_browser(page.browser, :visits)
   end
 
   @doc "The page's title."
   @spec title(t()) :: String.t() | nil
   def title(page) do
     settle(page)
-    ask(page.browser, :title)
+    call_browser(page.browser, :title)
   end
 
   @doc "Whether the view's process lives."
@@ -246,8 +246,8 @@ defmodule Situ.Live.Test do
     |> Situ.Live.Html.to_html()
   end
 
-  # On a busy machine a page takes its time; how long is no matter of a test.
-  @patience 60_000
+  # A page may be slow on a busy machine, and tests do not measure how slow.
+  @timeout_ms 60_000
 
-  defp ask(browser, question), do: GenServer.call(browser, question, @patience)
+  defp call_browser(browser, request), do: GenServer.call(browser, request, @timeout_ms)
 end

@@ -43,7 +43,7 @@ defmodule Situ.Live.Yaws do
     settings = [
       keepalive_timeout: @idle_ms,
       max_connections: @max_connections,
-      logdir: folder(),
+      logdir: unused_folder(),
       process_options: [max_heap_size: @head_heap],
       flags: [copy_errlog: false, fail_on_bind_err: false]
     ]
@@ -119,7 +119,7 @@ defmodule Situ.Live.Yaws do
       ] ++ tls_options(tls)
 
     with :ok <- load(),
-         sconf = :yaws.create_sconf(folder(), options),
+         sconf = :yaws.create_sconf(unused_folder(), options),
          :ok <- check_free(ip, port) do
       case :gen_server.call(:yaws_server, {:add_sconf, -1, sconf}, 90_000) do
         {:ok, ^sconf} -> {:error, port_error(port, :eaddrinuse)}
@@ -129,8 +129,8 @@ defmodule Situ.Live.Yaws do
     end
   end
 
-  # Yaws wants folders for files and logs; it is told to serve and to write none.
-  defp folder, do: String.to_charlist(Application.app_dir(:situ_live, "ebin"))
+  # Yaws needs a folder of files and one of logs, but is configured to serve no files and to write no logs.
+  defp unused_folder, do: String.to_charlist(Application.app_dir(:situ_live, "ebin"))
 
   @doc "Closes a port. Yaws takes a second for it, and up to a minute while requests are being answered."
   @spec remove(term()) :: :ok
@@ -202,7 +202,7 @@ defmodule Situ.Live.Yaws do
       nil ->
         {:error,
          Error.new(:no_web_server, "the web server Yaws is not installed",
-           fix: "install the package erlang-yaws, or put its folder beside Erlang's own"
+           fix: "install the package erlang-yaws, or put the folder of Yaws into #{erlang}"
          )}
 
       ebin ->

@@ -75,7 +75,7 @@ defmodule Situ.Live.EndpointTest do
     assert role(config(token: nil, viewer: nil), request("")) == :owner
   end
 
-  test "what is logged of a server holds none of its secrets" do
+  test "an inspected configuration shows none of its secrets" do
     shown = inspect(config(), limit: :infinity, printable_limit: :infinity)
     for secret <- [@owner, @viewer, String.duplicate("s", 32)], do: refute(shown =~ secret)
   end

@@ -17,7 +17,7 @@ defmodule Situ.Studio.DataSession do
   alias Situ.{Error, Studio}
   alias Studio.{Comparison, Draw, Frame, Source, Visualizer, Visualizers, WholeNumber}
 
-  # A stream in a plot has two: one for its window, one for its value at the cursor.
+  # A stream in a plot has two channels: one for its window, and one for its value at the cursor.
   @max_channels 512
   @max_wants 512
   @max_bins 50_000

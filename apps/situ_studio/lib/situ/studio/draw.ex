@@ -68,10 +68,10 @@ defmodule Situ.Studio.Draw do
   defp at(source, channel, %{viz: viz} = spec, time, last) do
     cond do
       draws?(viz, :value_at, 4) ->
-        value(source, channel, spec, time, last)
+        value_at_cursor(source, channel, spec, time, last)
 
       draws?(viz, :instant, 3) or draws?(viz, :instant, 4) ->
-        drawn_at(source, channel, spec, time, last)
+        message_at_cursor(source, channel, spec, time, last)
 
       true ->
         {Frame.error(channel, "#{inspect(viz.id)} is not drawn at the cursor"), nil}
@@ -79,7 +79,7 @@ defmodule Situ.Studio.Draw do
   end
 
   # The value that a visualizer over time has at the cursor.
-  defp value(source, channel, %{viz: viz} = spec, time, last) do
+  defp value_at_cursor(source, channel, %{viz: viz} = spec, time, last) do
     case viz.module.value_at(source, channel, spec, time) do
       {:ok, ^last, _frame} -> {Frame.same(channel), last}
       {:ok, mark, frame} -> {frame, mark}
@@ -89,7 +89,7 @@ defmodule Situ.Studio.Draw do
     end
   end
 
-  defp drawn_at(source, channel, %{stream: stream} = spec, time, last) do
+  defp message_at_cursor(source, channel, %{stream: stream} = spec, time, last) do
     {last, kept} = last || {nil, %{}}
 
     case message(source, stream, time, Map.get(spec, :props, %{})) do

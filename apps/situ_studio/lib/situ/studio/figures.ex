@@ -141,13 +141,13 @@ defmodule Situ.Studio.Figures do
   def text(:date, f), do: f.from |> clock() |> String.slice(0, 10)
   def text(:time, f), do: f.from |> clock() |> String.slice(11, 8)
 
-  # Clocks of machines differ by less than this.
+  # The clocks of two machines differ by less than this.
   @skew 100_000_000
   @day 86_400 * @second
 
   @doc """
-  A mean latency as text; in words where the messages were not made as they happened, but of a replayed recording or a
-  simulation.
+  Writes a mean latency as text. It is in words where the messages were not created in real time, as in a replayed
+  recording or a simulation.
 
       iex> Enum.map([2_020_000, -5_000_000, -1_470_000_000], &Situ.Studio.Figures.latency_text/1)
       ["2.02 ms", "-5.00 ms", "not real time"]

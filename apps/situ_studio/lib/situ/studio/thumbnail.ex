@@ -23,9 +23,9 @@ defmodule Situ.Studio.Thumbnail do
     end
   end
 
-  @doc "The picture of a recording that has nothing to show: a line through the middle."
-  @spec nothing() :: String.t()
-  def nothing do
+  @doc "Returns the SVG picture of a recording that has nothing to show: a dashed line."
+  @spec empty_svg() :: String.t()
+  def empty_svg do
     ~s(<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 #{@width} #{@height}">) <>
       ~s(<path d="M60 45H100" stroke="#8b949e" stroke-width="2" stroke-dasharray="4 4"/></svg>)
   end
@@ -83,18 +83,18 @@ defmodule Situ.Studio.Thumbnail do
     if lows == [] or highs == [], do: nil, else: {Enum.min(lows), Enum.max(highs)}
   end
 
-  # A stroke from the least to the greatest value of each row, with the rows joined, but not across holes.
+  # Draws a stroke from the least to the greatest value of each row, and joins neighbouring rows except across holes.
   defp svg(points, {low, high}, from, to) do
     x = fn t -> @width * (t - from) / max(to - from, 1) end
-    # quarters: the difference of the greatest numbers is none
+    # The difference of the greatest floats overflows; that of their quarters does not.
     y = fn v -> 4 + (@height - 8) * (1 - (v / 4 - low / 4) / max(high / 4 - low / 4, 1.0e-12)) end
     points = Enum.filter(points, fn {t, a, _, _, _} -> is_number(a) and t >= from and t <= to end)
 
-    # a value that is alone holds on
+    # A single value is drawn as a level line.
     points =
       if match?([_], points), do: [hd(points), put_elem(hd(points), 0, to + 1)], else: points
 
-    after_holes = points |> holes() |> MapSet.new(&elem(&1, 1))
+    after_holes = points |> find_holes() |> MapSet.new(&elem(&1, 1))
     [first | rest] = for point <- points, do: {elem(point, 0), stroke(point, x, y)}
     lines = for {t, at} <- rest, do: [if(t in after_holes, do: "M", else: "L"), at]
 
@@ -106,11 +106,10 @@ defmodule Situ.Studio.Thumbnail do
     ]
   end
 
-  defp holes(points), do: Draw.Rhythm.holes(for {t, _, _, _, n} <- points, do: {t, n})
+  defp find_holes(points), do: Draw.Rhythm.holes(for {t, _, _, _, n} <- points, do: {t, n})
 
-  defp stroke({t, low, high, _, _}, x, y), do: "#{corner(x.(t), y.(high))}V#{round1(y.(low))}"
+  defp stroke({t, low, high, _, _}, x, y),
+    do: "#{tenths(x.(t))} #{tenths(y.(high))}V#{tenths(y.(low))}"
 
-  defp corner(x, y), do: "#{round1(x)} #{round1(y)}"
-
-  defp round1(x), do: Float.round(x / 1, 1)
+  defp tenths(x), do: Float.round(x / 1, 1)
 end

@@ -103,12 +103,12 @@ defmodule Situ.Studio.Visualizer do
   @callback instant(Frame.channel(), data :: term(), Situ.Message.t(), context()) ::
               Frame.t() | {:kept, Frame.t(), map() | nil} | {:error, String.t()}
 
-  @typedoc "The value of a stream at a time: a frame, and a mark that differs for each message."
+  @typedoc "The value of a stream at a time: a frame, and a mark that is different for each message."
   @type value :: {:ok, mark :: term(), Frame.t()} | :none | {:error, Situ.Error.t()}
 
   @doc """
-  The exact value that a visualizer over time has at the cursor, from the message at or before it and never from a
-  summary (`Situ.Studio.Draw.Values`).
+  Returns the exact value that a visualizer over time has at the cursor: that of the latest message at or before it,
+  never that of a summary (`Situ.Studio.Draw.Values`).
   """
   @callback value_at(Source.t(), Frame.channel(), spec(), Situ.Time.t()) :: value()
 

@@ -1,21 +1,16 @@
 defmodule Situ.Studio.StatisticsTest do
   use ExUnit.Case, async: true
 
-  alias Situ.Studio.{History, Source, Statistics}
-
-  defp source(rows) do
-    history = History.new(live: false, seconds: 1_000_000)
-
-    for {{t, data}, i} <- Enum.with_index(rows) do
-      message = %Situ.Message{data: data, originating_time: t, creation_time: t, sequence_id: i}
-      History.put(history, "S", message, 8)
-    end
-
-    {Source.History, history}
-  end
+  alias Situ.Studio.{Asking, Statistics}
 
   defp rows(rows) do
-    for row <- Statistics.within(source(rows), %{stream: "S", path: ""}, 0, 1_000_000_000_000),
+    for row <-
+          Statistics.within(
+            Asking.source("S", rows),
+            %{stream: "S", path: ""},
+            0,
+            1_000_000_000_000
+          ),
         do: {row, Map.new(row.values, &List.to_tuple/1)}
   end
 
@@ -56,6 +51,6 @@ defmodule Situ.Studio.StatisticsTest do
 
   test "a path that is none says so" do
     assert [%{error: "" <> _, values: []}] =
-             Statistics.within(source([]), %{stream: "S", path: "["}, 0, 1)
+             Statistics.within(Asking.source("S", []), %{stream: "S", path: "["}, 0, 1)
   end
 end

@@ -1,17 +1,10 @@
 defmodule Situ.Studio.ThumbnailTest do
   use ExUnit.Case, async: true
 
-  alias Situ.Studio.{History, Source, Thumbnail}
+  alias Situ.Studio.{Asking, History, Source, Thumbnail}
 
   defp drawn(rows) do
-    history = History.new(live: false, seconds: 1_000_000)
-
-    for {{t, data}, i} <- Enum.with_index(rows) do
-      message = %Situ.Message{data: data, originating_time: t, creation_time: t, sequence_id: i}
-      History.put(history, "Only", message, 8)
-    end
-
-    {:ok, "image/svg+xml", svg} = Thumbnail.of({Source.History, history})
+    {:ok, "image/svg+xml", svg} = Thumbnail.of(Asking.source("Only", rows))
     [_, path] = Regex.run(~r/ d="([^"]*)"/, IO.iodata_to_binary(svg))
     path
   end

@@ -7,7 +7,7 @@ defmodule Situ.Studio.Draw.Bins do
       {[{0, 0.0, 1.0, 1.0, 2}, {2, 2.0, 3.0, 3.0, 2}], false}
   """
 
-  # The greatest float is an integer.
+  # The greatest float, which is a whole number.
   @greatest trunc(1.797_693_134_862_315_7e308)
 
   @type point :: Situ.Codec.point()
@@ -38,7 +38,8 @@ defmodule Situ.Studio.Draw.Bins do
   end
 
   @doc """
-  A value as a number to draw: booleans are 0 and 1. Other terms, and integers that no float can hold, are left out.
+  Returns a value as a number to draw: booleans are 0 and 1. Other terms, and integers too large for a float, are
+  `:error`.
 
       iex> Enum.map([1.7e308, true, :nan], &Situ.Studio.Draw.Bins.number/1)
       [{:ok, 1.7e308}, {:ok, 1}, :error]

@@ -2,9 +2,9 @@ defmodule Situ.Studio.Draw.Values do
   @moduledoc """
   The exact values of a stream at a time, which a page shows at the cursor.
 
-  A value is that of the message at or before the time, never one of a summary: it is the same at every zoom. Values
-  go to the page as text. A number is written with the fewest digits that read back as the same number, and integers
-  that a browser cannot hold keep all of their digits.
+  A value comes from the latest message at or before the time and never from a summary, so it is the same at every
+  zoom. Values go to the page as text. A float has the fewest digits that read back as the same number, and an integer
+  that a browser cannot hold exactly keeps all of its digits.
 
       iex> alias Situ.Studio.Draw.Values
       iex> Enum.map([0.1, 123456789.123, 9_007_199_254_740_993, true, :nan, nil], &Values.text/1)
@@ -12,13 +12,16 @@ defmodule Situ.Studio.Draw.Values do
   """
   alias Situ.Studio.{Frame, Hole, Path, Source, Visualizer}
 
-  # So many values of one message are told.
-  @most 256
+  # The page gets at most this many values of one message.
+  @max_values 256
 
   @typedoc "A part of a message and its value; `\"\"` is the message itself."
   @type named :: {name :: String.t(), value :: term()}
 
-  @doc "The values of the latest message at or before `time`; `name/1` splits what is at the path into named values."
+  @doc """
+  Returns the values of the latest message at or before `time`. `split` gets the data at the path and the message, and
+  returns the named values.
+  """
   @spec at(
           Source.t(),
           Frame.channel(),
@@ -29,27 +32,29 @@ defmodule Situ.Studio.Draw.Values do
   def at(source, channel, %{stream: stream, path: path}, time, split) do
     case Source.call(source, :latest_at, [stream, time]) do
       {:ok, %{data: %Hole{}}} -> :none
-      {:ok, message} -> told(channel, message, Path.fetch(message.data, path), split)
+      {:ok, message} -> message_value(channel, message, Path.fetch(message.data, path), split)
       other -> other
     end
   end
 
-  # At a message without this part the line has a gap.
-  defp told(_channel, _message, :error, _split), do: :none
+  # The line has a gap at a message without this part.
+  defp message_value(_channel, _message, :error, _split), do: :none
 
-  defp told(channel, message, {:ok, data}, split) do
+  defp message_value(channel, message, {:ok, data}, split) do
     mark = {message.originating_time, message.sequence_id}
     {:ok, mark, frame(channel, message.originating_time, split.(data, message))}
   end
 
-  @doc "The frame of named values of the time `time`."
+  @doc "Builds the frame of the named values at `time`."
   @spec frame(Frame.channel(), Situ.Time.t(), [named()]) :: Frame.t()
   def frame(channel, time, values) do
-    told = for {name, value} <- Enum.take(values, @most), text = text(value), do: [name, text]
-    Frame.json(channel, time, %{"time" => Integer.to_string(time), "values" => told})
+    texts =
+      for {name, value} <- Enum.take(values, @max_values), text = text(value), do: [name, text]
+
+    Frame.json(channel, time, %{"time" => Integer.to_string(time), "values" => texts})
   end
 
-  @doc "A value as text, exactly; `nil` for none."
+  @doc "Writes a value as text, exactly; `nil` for terms that are not drawn."
   @spec text(term()) :: String.t() | nil
   def text(nil), do: nil
   def text(%Hole{}), do: nil

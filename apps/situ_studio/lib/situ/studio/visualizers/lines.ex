@@ -37,11 +37,11 @@ defmodule Situ.Studio.Visualizers.Lines do
 
   @impl true
   def value_at(source, channel, spec, time),
-    do: Values.at(source, channel, spec, time, fn data, _message -> by_name(data) end)
+    do: Values.at(source, channel, spec, time, fn data, _message -> named_values(data) end)
 
-  defp by_name(%module{}) when is_atom(module), do: []
-  defp by_name(%{} = map), do: for({key, value} <- map, do: {Key.text(key), value})
-  defp by_name(_other), do: []
+  defp named_values(%module{}) when is_atom(module), do: []
+  defp named_values(%{} = map), do: for({key, value} <- map, do: {Key.text(key), value})
+  defp named_values(_other), do: []
 
   defp summed(channel, tracks) do
     bins = for {key, {:numbers, bins}} <- tracks, key != nil, into: %{}, do: {key, bins}

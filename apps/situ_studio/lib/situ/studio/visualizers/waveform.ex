@@ -75,33 +75,35 @@ defmodule Situ.Studio.Visualizers.Waveform do
 
   @impl true
   def value_at(source, channel, %{stream: stream} = spec, time) do
-    with {:ok, %{data: %AudioBuffer{} = buffer} = message} <- sounding(source, stream, time) do
+    with {:ok, %{data: %AudioBuffer{} = buffer} = message} <- fetch_sounding(source, stream, time) do
       start = AudioBuffer.start_time(buffer, message.originating_time)
       frames = AudioBuffer.frames(buffer)
       n = time |> frame_at(start, buffer.format) |> min(frames - 1)
       at = start + AudioFormat.frames_to_ns(buffer.format, n)
-      {:ok, {at, message.sequence_id}, Values.frame(channel, at, told(buffer, n, chosen(spec)))}
+
+      {:ok, {at, message.sequence_id},
+       Values.frame(channel, at, named_samples(buffer, n, chosen(spec)))}
     else
       {:ok, _no_sound} -> :none
       other -> other
     end
   end
 
-  # A buffer's time is that of its end: the one that ends after the cursor sounds then, if it has begun. Between two,
-  # the last sample of the one before is told, with its age.
-  defp sounding(source, stream, time) do
+  # A buffer's time is that of its end, so the first buffer that ends after the cursor sounds at the cursor if it has
+  # begun. In a gap the value is the last sample of the buffer before, and the page shows its age.
+  defp fetch_sounding(source, stream, time) do
     case Source.call(source, :next_after, [stream, time]) do
       {:ok, %{data: %AudioBuffer{} = buffer, originating_time: stop} = message} ->
         if AudioBuffer.frames(buffer) > 0 and AudioBuffer.start_time(buffer, stop) <= time,
           do: {:ok, message},
-          else: before(source, stream, time)
+          else: fetch_before(source, stream, time)
 
       _none ->
-        before(source, stream, time)
+        fetch_before(source, stream, time)
     end
   end
 
-  defp before(source, stream, time) do
+  defp fetch_before(source, stream, time) do
     with {:ok, %{data: %AudioBuffer{} = buffer} = message} <-
            Source.call(source, :latest_at, [stream, time]),
          do: if(AudioBuffer.frames(buffer) > 0, do: {:ok, message}, else: :none)
@@ -114,17 +116,17 @@ defmodule Situ.Studio.Visualizers.Waveform do
     if n > 0 and start + AudioFormat.frames_to_ns(format, n) > time, do: n - 1, else: n
   end
 
-  defp told(buffer, n, one) do
+  defp named_samples(buffer, n, one) do
     channels = if one, do: [one], else: Enum.to_list(0..(buffer.format.channels - 1))
     one_frame = AudioBuffer.slice(buffer, n, 1)
 
     for c <- channels, c < buffer.format.channels do
       name = if match?([_], channels), do: "", else: Integer.to_string(c + 1)
-      {name, sample(taken(one_frame, c))}
+      {name, sample_value(taken(one_frame, c))}
     end
   end
 
-  defp sample(frame) do
+  defp sample_value(frame) do
     case Sound.remix!(frame, [[1]], sample: :f32).data do
       <<value::little-float-32>> -> value
       _not_a_number -> nil

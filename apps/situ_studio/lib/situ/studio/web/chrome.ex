@@ -38,7 +38,7 @@ defmodule Situ.Studio.Web.Chrome do
     """
   end
 
-  # Errors are parts of sentences, so that they can be put together.
+  # The texts of errors begin with a small letter and have no full stop, so that they can be put together.
   defp sentence(text),
     do: capitalize(text) <> if(String.ends_with?(text, [".", "?", "!"]), do: "", else: ".")
 
@@ -147,14 +147,14 @@ defmodule Situ.Studio.Web.Chrome do
 
   @doc false
   def status(assigns) do
-    assigns = assign(assigns, left_out: left_out(assigns.infos, assigns.layout))
+    assigns = assign(assigns, left_out: count_left_out(assigns.infos, assigns.layout))
 
     ~H"""
     <footer class="status">
       <span><i class="dot"></i><span id="connection" phx-update="ignore">connecting</span></span>
       <span>{@source}</span>
-      <span>{streams(length(@infos))}</span>
-      <span :if={@left_out > 0} title="Double click or drag a stream of the list to show it"
+      <span>{count_text(length(@infos))}</span>
+      <span :if={@left_out > 0} title="Double-click or drag a stream in the list to show it"
           >{@left_out} not shown</span>
       <span :if={@viewer} class="viewer" title="You came by a link that may look and not change">looking only</span>
       <span :if={@read_only and not @viewer}>read only</span>
@@ -170,11 +170,11 @@ defmodule Situ.Studio.Web.Chrome do
     """
   end
 
-  defp streams(1), do: "1 stream"
-  defp streams(n), do: "#{n} streams"
+  defp count_text(1), do: "1 stream"
+  defp count_text(n), do: "#{n} streams"
 
-  # How many streams no panel shows.
-  defp left_out(infos, layout) do
+  # The number of streams that no panel shows.
+  defp count_left_out(infos, layout) do
     shown = for panel <- layout.rows, vis <- panel.vis, into: MapSet.new(), do: vis.stream
     Enum.count(infos, &(&1.name not in shown))
   end

@@ -160,8 +160,8 @@ defmodule Situ.Studio.Web.DataHttp do
         %Response{headers: headers, body: data}
 
       :none ->
-        # lists show it: a browser's own mark of a broken picture would look like a fault
-        %Response{headers: [{"content-type", "image/svg+xml"}], body: Thumbnail.nothing()}
+        # Lists show this picture, where a browser's sign for a broken image would look like a fault.
+        %Response{headers: [{"content-type", "image/svg+xml"}], body: Thumbnail.empty_svg()}
     end
   end
 

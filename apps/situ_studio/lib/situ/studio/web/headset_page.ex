@@ -2,7 +2,7 @@ defmodule Situ.Studio.Web.HeadsetPage do
   @moduledoc false
   # The page that is a headset: it needs no view on the server, only its script.
   alias Situ.Live.{Request, Response}
-  alias Situ.Studio.Web.SensorPage
+  alias Situ.Studio.Web.StaticPage
 
   @body """
   <h1>This page is a headset</h1>
@@ -15,5 +15,5 @@ defmodule Situ.Studio.Web.HeadsetPage do
 
   @spec call(Request.t(), {studio :: String.t(), base :: String.t()}) :: Response.t()
   def call(%Request{}, {_studio, base}),
-    do: SensorPage.page(base, title: "Headset", script: "headset.js", body: @body)
+    do: StaticPage.response(base, title: "Headset", script: "headset.js", body: @body)
 end

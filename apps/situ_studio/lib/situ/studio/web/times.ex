@@ -32,7 +32,7 @@ defmodule Situ.Studio.Web.Times do
     """
   end
 
-  # Times before 1971 are not of a calendar (`assets/js/page/times.js` says the same).
+  # Times before 1971 are not calendar dates (`dated` of `assets/js/time/text.js` has the same rule).
   @dated 31_622_400_000_000_000
 
   defp text(ns, "date") when abs(ns) <= @dated, do: "no date"
