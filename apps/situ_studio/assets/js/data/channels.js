@@ -108,10 +108,10 @@ export class InstantChannel extends Channel {
     this.kept = new Map();
   }
 
-  // While the source grows, a message may come that is before the cursor: it is asked for again.
-  gather(message, s, _origin, live, growing = false) {
-    const head = growing ? s.data[1] : null;
-    if (!live && this.at === s.cursor && (!growing || this.head === head)) return;
+  // While the source grows, a message before the cursor may still arrive, so the channel asks again.
+  gather(message, s, _origin, live, growing) {
+    const head = growing ? s.data[1] : this.head;
+    if (!live && this.at === s.cursor && this.head === head) return;
     this.at = s.cursor;
     this.head = head;
     message.instant.push(this.id);
@@ -140,7 +140,7 @@ export class InstantChannel extends Channel {
   }
 }
 
-// The value of a plotted stream at the cursor, exactly: never made up from the rows that are drawn.
+// The exact value of a plotted stream at the cursor, which the server sends. The drawn rows play no part in it.
 export class ValueChannel extends InstantChannel {
   constructor(id, spec, accept) {
     super(id, spec, accept);
@@ -156,20 +156,21 @@ export class ValueChannel extends InstantChannel {
   receive(f, client) {
     this.answered = client.answered;
     this.error = f.kind === KIND.error ? f.message : null;
-    if (f.kind !== KIND.same) this.told = this.error || f.kind === KIND.none ? null : toldValue(f, client);
+    if (f.kind !== KIND.same) this.told = this.error || f.kind === KIND.none ? null : decodeValue(f, client);
     this.accept(this);
   }
 
-  // Whether what is told holds at the cursor; else it is that of an earlier one, or of none.
-  knows(cursor) {
+  // Whether the value is that of this cursor, and not of an earlier one.
+  holdsAt(cursor) {
     return this.answered === Math.round(cursor);
   }
 }
 
-// {at: its message's time, values: Map from name to exact text} or, of a sound's spectrum, the samples {at, frame}.
-function toldValue(f, client) {
+// {at, values}: the time of the message, and a Map from name to exact text. A spectrogram gets {at, values, rate,
+// samples}, with no values.
+function decodeValue(f, client) {
   const at = client.rel(f.time);
-  // the answer's buffer is not kept
+  // a copy: the buffer of the whole answer must not be kept
   if (f.kind === KIND.sounds) return { at, values: new Map(), rate: f.rate, samples: f.samples.slice() };
   return { at, values: new Map(f.value.values) };
 }

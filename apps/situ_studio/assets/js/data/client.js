@@ -23,6 +23,7 @@ export class DataClient {
     this.closed = false;
     this.stats = { requests: 0, bytes: 0, roundTrip: 0 };
     this.growing = false;
+    this.answered = null;
   }
 
   start() {
@@ -164,7 +165,8 @@ export class DataClient {
     reply.first = first;
     this.growing = reply.live;
     reply.asked = asked;
-    reply.cursor = this.answered = this.rel(reply.time);
+    reply.cursor = this.rel(reply.time);
+    this.answered = reply.cursor;
     this.onReply(reply);
     this.time.dispatch({ type: "data", from: this.rel(reply.from), to: this.rel(reply.to) });
     for (const f of reply.frames) this.deliver(f);

@@ -12,7 +12,7 @@ export class Series {
     this.length = 0;
     this.raw = true;
     this.sampled = false;
-    // how many ns a row that is not a single message spans at most
+    // the longest span in ns of a row that holds several messages
     this.bin = 0;
     this.beat = { period: Infinity, row: 0 };
     this.capacity = 0;
@@ -46,7 +46,7 @@ export class Series {
     return this.t[i] - this.t[i - 1] > this.patience(i - 1);
   }
 
-  // How old a message is at `t`, in ns; 0 while its successor is not due yet. The message is in row `i`.
+  // How old the message of row `i` is at `t`, in ns; 0 while its successor is not due yet.
   age(i, t, at = this.t[i]) {
     const age = t - at;
     return age > Math.min(this.patience(i), Math.max(OLD, this.raw ? 0 : this.beat.row)) ? age : 0;
@@ -76,13 +76,13 @@ export class Series {
     return upperBound(this.t, t, this.length) - 1;
   }
 
-  // The end of what a row holds: its last message is not after it.
+  // The end of a row: its last message is not after it.
   end(i) {
     const end = this.raw ? this.t[i] : this.t[i] + this.bin;
     return i + 1 < this.length ? Math.min(end, this.t[i + 1]) : end;
   }
 
-  // By how much the values around a row differ from one another at least; 0 where they do not.
+  // The least difference between the values around a row; 0 where they are the same.
   spread(i) {
     if (i < 0) return 0;
     if (!this.raw && this.max[i] > this.min[i]) return (this.max[i] - this.min[i]) / Math.max(this.n[i], 1);

@@ -1,8 +1,8 @@
-// A link back to the page that was open before in this tab; without one, to all recordings. Browsers are told to send
-// no referrer, as addresses of pages say what people look at.
+// A link back to the page that was open before in this tab, or else to all recordings. The studio asks browsers to send
+// no referrer, since the address of a page says what people look at, so the tab remembers its last page.
 
-// The address to go back to: one of this studio's own pages, and not the page itself.
-export function backTo(before, here, base) {
+// The address to go back to: another page of this studio.
+export function backAddress(before, here, base) {
   if (!before.startsWith(base)) return base;
   const bare = (url) => url.split(/[?#]/)[0];
   return bare(before) === bare(here) ? base : before;
@@ -17,7 +17,7 @@ globalThis.addEventListener?.("pagehide", () => {
 export const hooks = {
   Back: {
     mounted() {
-      this.el.href = backTo(sessionStorage.getItem(KEY) ?? "", location.href, document.baseURI);
+      this.el.href = backAddress(sessionStorage.getItem(KEY) ?? "", location.href, document.baseURI);
     },
   },
 };

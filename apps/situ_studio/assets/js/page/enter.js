@@ -1,5 +1,4 @@
-// A field of several lines that Enter sends, as it would one line; Shift+Enter begins another line, and Escape leaves
-// the field to the keys of the page.
+// A field of several lines: Enter sends it, Shift+Enter begins another line, and Escape returns the keys to the page.
 
 export const hooks = {
   Enter: {

@@ -42,7 +42,7 @@ export class Header {
     // where there is no selection to measure, the end of the data stands there
     const length = s.sel[0] != null && s.sel[1] != null;
     this.set("t-length-of", length ? "length" : "data ends");
-    this.set("t-length", length ? duration(s.sel[1] - s.sel[0]) : lastMessage(s, origin, show));
+    this.set("t-length", length ? duration(s.sel[1] - s.sel[0]) : lastMessageText(s, origin, show));
     this.set("speed", `${s.speed >= 1 ? Number(s.speed.toFixed(2)) : `1/${Number((1 / s.speed).toFixed(2))}`}×`);
     this.pressed("togglePlay", s.mode === "play");
     this.pressed("repeat", s.repeat);
@@ -65,7 +65,7 @@ export class Header {
   }
 }
 
-// Without a message there is no last one: times are counted from 0 then.
-function lastMessage({ messages: [from, to] }, origin, show) {
+// A dash where there is no message: the page counts times from 0 then.
+function lastMessageText({ messages: [from, to] }, origin, show) {
   return from === to && origin === 0n ? "–" : show(to);
 }

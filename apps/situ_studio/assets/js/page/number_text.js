@@ -10,17 +10,18 @@ export function number(x, digits = 6) {
   return String(Number(x.toPrecision(digits)));
 }
 
-// Numbers of so many digits are shown whole: people wrote them. Longer ones were computed.
+// Numbers with at most this many digits are shown whole: people wrote them. Longer ones were computed.
 const WHOLE = 12;
+// The fewest and the most significant digits of a computed number; 17 tell all floats apart.
 const LEAST = 6,
   MOST = 17;
 
-// A value that is given exactly, as text: whole, or with as many digits as tell it apart from one that is `apart` away.
-// Other texts stay as they are.
+// Shortens the exact text of a number: whole, or with as many digits as distinguish it from a number that is `apart`
+// away. Other texts stay as they are.
 export function valueText(exact, apart = 0) {
   const x = Number(exact);
   if (!Number.isFinite(x) || exact.trim() === "") return exact;
-  // an integer may be larger than a number can be exactly
+  // An integer may be too large for an exact number.
   if (/^-?\d+$/.test(exact)) return exact;
   const whole = String(x);
   const written = whole.replace(/e.*/, "").replace(/^-?0*\.?0*|\./g, "").length;
@@ -28,7 +29,7 @@ export function valueText(exact, apart = 0) {
   return String(Number(x.toPrecision(digitsFor(x, apart, LEAST))));
 }
 
-// How many significant digits tell x apart from a number that is `apart` away, `least` at least.
+// The number of significant digits that distinguish x from a number that is `apart` away, at least `least`.
 function digitsFor(x, apart, least) {
   if (!(apart > 0) || x === 0) return least;
   const digits = Math.floor(Math.log10(Math.abs(x))) - Math.floor(Math.log10(apart)) + 2;
@@ -42,8 +43,8 @@ const SI = [
   [1e3, "k"],
 ];
 
-// A number beside an axis whose ticks are `step` apart: short, large ones with the prefixes of SI, but never as short
-// as its neighbours.
+// A number on an axis whose ticks are `step` apart: short, with SI prefixes for large numbers, but with enough digits
+// to differ from its neighbours.
 export function axisNumber(x, step = 0) {
   const a = Math.abs(x);
   const digits = digitsFor(x, step, 4);
@@ -53,7 +54,7 @@ export function axisNumber(x, step = 0) {
       .replace(/(\.\d*?)0*e\+?/, "$1e")
       .replace(".e", "e");
   }
-  // the ticks are round: what is beyond their step is noise
+  // The ticks are round, so digits beyond their step are noise.
   if (a < 10000 || digits > LEAST) return String(Number(x.toPrecision(Math.max(digits, 4))));
   const [factor, letter] = SI.find(([f]) => a >= f);
   return `${Number((x / factor).toPrecision(digits))} ${letter}`;
@@ -64,7 +65,7 @@ export const tickCount = (px) => Math.max(2, Math.min(Math.floor(px / 24), 4 + M
 
 // Ticks of a value axis between lo and hi, about n of them and never one alone, at 1, 2 or 5 times a power of ten.
 export function valueTicks(lo, hi, n) {
-  // a span that no number can hold is that of smaller ones
+  // A span that overflows is divided as a quarter of it.
   if (hi - lo === Infinity) return valueTicks(lo / 4, hi / 4, n).map((v) => v * 4);
   for (let k = n; k <= 4 * n + 8; k++) {
     const found = ticksOf(lo, hi, k);
@@ -80,10 +81,10 @@ function ticksOf(lo, hi, n) {
   const mag = 10 ** Math.floor(Math.log10(raw));
   const unit = [1, 2, 5, 10].map((k) => k * mag).find((u) => u >= raw) ?? raw;
   const out = [];
-  // the digits of a tick end where those of its unit do
+  // The digits of a tick end where those of its unit end.
   const digits = Math.ceil(Math.log10(Math.max(Math.abs(lo), Math.abs(hi)) / unit)) + 2;
   for (let i = Math.ceil(lo / unit); i * unit <= hi + unit * 1e-9; i++)
-    out.push(Number((i * unit).toPrecision(Math.min(Math.max(digits, 12), 17))));
+    out.push(Number((i * unit).toPrecision(Math.min(Math.max(digits, WHOLE), MOST))));
   return out;
 }
 
@@ -101,6 +102,6 @@ export function paddedRange(extents) {
   return [Math.max(lo - pad, -Number.MAX_VALUE), Math.min(hi + pad, Number.MAX_VALUE)];
 }
 
-// Where a value is between lo (0) and hi (1), also where their difference is more than a number can hold.
+// The position of a value between lo (0) and hi (1), also where their difference overflows.
 export const fraction = (v, lo, hi) =>
   hi - lo === Infinity ? (v / 4 - lo / 4) / (hi / 4 - lo / 4) : (v - lo) / (hi - lo);

@@ -24,10 +24,10 @@ const TITLES = {
 };
 
 const text = (name, v) =>
-  name.endsWith("_ns") ? duration(v) : name === "rate_hz" ? `${number(v, 4)} /s` : exact(name, v);
+  name.endsWith("_ns") ? duration(v) : name === "rate_hz" ? `${number(v, 4)} /s` : valueOf(name, v);
 
-// The values of messages are told whole; computed ones to ten digits.
-const exact = (name, v) => (!Number.isFinite(v) || name === "mean" || name === "std" ? number(v, 10) : String(v));
+// Values of messages are shown whole, computed ones with ten digits.
+const valueOf = (name, v) => (!Number.isFinite(v) || name === "mean" || name === "std" ? number(v, 10) : String(v));
 
 // rows: [{name, all, values: [[name, value], ...], error?}]
 export function showStatistics(rows, length) {

@@ -108,8 +108,8 @@ export class Legend {
       .join("\n");
   }
 
-  // Values at the cursor, in the legend: those of the messages, as the server tells them. Until it has, the ones before
-  // are dimmed. One that is older than the stream's pace explains says how old it is.
+  // Shows the values of the messages at the cursor, which the server sends. The old values are dimmed until it has
+  // answered. A value that is older than the pace of its stream explains has its age.
   values() {
     const { panel } = this;
     const cursor = panel.app.time.get().cursor;
@@ -124,21 +124,21 @@ export class Legend {
       if (e.text !== shown) e.value.textContent = e.text = shown;
       e.value.classList.toggle("bad", !!error);
       e.value.classList.toggle("old", age > 0);
-      e.value.classList.toggle("waiting", !error && !value.knows(cursor));
-      const title = `${e.title}${exactly(e, told)}${inColumn(e, i)}`;
+      e.value.classList.toggle("waiting", !error && !value.holdsAt(cursor));
+      const title = `${e.title}${exactValueTip(e, told)}${columnTip(e, i)}`;
       if (e.value.title !== title) e.value.title = title;
     }
   }
 }
 
-// The whole value, which the text beside the name may round.
-function exactly({ name }, told) {
+// The whole value, which the text next to the name may round.
+function exactValueTip({ name }, told) {
   const exact = told && (told.values.has(name) ? [told.values.get(name)] : [...told.values.values()]).join(", ");
   return exact ? `\nat the cursor: ${exact}` : "";
 }
 
 // Where more messages than pixels are drawn, the column under the cursor stands for several of them.
-function inColumn({ series }, i) {
+function columnTip({ series }, i) {
   if (i < 0 || !series.min) return "";
   const sample = series.sampled ? "\nThe line is drawn from a sample of the messages: zoom in for all." : "";
   if (series.raw || !(series.n[i] > 1) || !Number.isFinite(series.min[i])) return sample;

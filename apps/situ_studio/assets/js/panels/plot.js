@@ -37,7 +37,7 @@ export class PlotPanel {
       old.delete(key);
       return Object.assign(layer, { vis, index });
     });
-    for (const l of old.values()) this.shut(l);
+    for (const l of old.values()) this.closeLayer(l);
     this.legend.forget();
     this.legend.build();
     this.app.schedule(this);
@@ -54,13 +54,13 @@ export class PlotPanel {
     return { key, channel, value, vis, drawer, redraw: () => this.app.schedule(this) };
   }
 
-  shut(layer) {
+  closeLayer(layer) {
     this.app.client.close(layer.channel);
     this.app.client.close(layer.value);
   }
 
-  // How close two values are that must be told apart, at row `i` of an entry: a thousandth of the axis, or less where
-  // the values around are closer.
+  // The least difference that the text of a value must show at row `i` of an entry: a thousandth of the axis, or less
+  // where the values around the row are closer.
   resolution(entry, i) {
     const { drawer } = entry.layer;
     const [lo, hi] = this.own ? paddedRange([drawer.extent(entry, this.app.time.get().view)]) : this.y;
@@ -104,7 +104,7 @@ export class PlotPanel {
       select: { show: false },
       scales: {
         x: { time: false, auto: false, range: () => this.app.time.get().view },
-        // uPlot's own range is where a value lies between the ends of ours, which may be too far apart for it
+        // uPlot gets positions from 0 to 1, since the difference of the ends of our range may overflow.
         y: { auto: false, range: () => [0, 1] },
       },
       series: [{}, { paths: () => null, points: { show: false } }],
@@ -278,7 +278,7 @@ export class PlotPanel {
   destroy() {
     this.observer.disconnect();
     this.app.gutter.need(this, null);
-    for (const l of this.layers) this.shut(l);
+    for (const l of this.layers) this.closeLayer(l);
     this.plot?.destroy();
   }
 }

@@ -28,7 +28,7 @@ onSetting((id, value) => {
 
 export const clockMode = () => chosen;
 
-// Times that are not of a calendar are shown since the start, whatever clock is chosen.
+// Times that are not calendar dates are shown since the start, whatever clock is chosen.
 const modeOf = (origin) => (chosen !== "selection" && (origin === null || !dated(origin)) ? "start" : chosen);
 
 export function nextClock() {

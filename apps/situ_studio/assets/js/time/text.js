@@ -114,18 +114,18 @@ export function duration(t) {
   return `${sign}${Math.floor(a / D)} d ${Math.floor((a % D) / H)} h`;
 }
 
-// Clocks of machines differ by less than this.
+// The clocks of two machines differ by less than this.
 const SKEW = 100 * MS;
 
-// Between the time of a message and that of its making; in words where it was not made as it happened, but of a
-// replayed recording or a simulation.
+// The time from an event to the creation of its message. It is in words where the message was not created in real time,
+// as in a replayed recording or a simulation.
 export const latency = (t) => (t < -SKEW || t > D ? "not real time" : duration(t));
 
 function digits(x) {
   return x >= 100 ? x.toFixed(0) : x >= 10 ? x.toFixed(1) : x.toFixed(2);
 }
 
-// Times before 1971 are not of a calendar: they are counted from the start of a simulation or of a file.
+// Times before 1971 are not calendar dates: they count from the start of a simulation or of a file.
 export const dated = (ns) => ns > 31622400000000000n || ns < -31622400000000000n;
 
 // Absolute UTC time of `t` ns after the BigInt `origin`, with so many decimals of its seconds.

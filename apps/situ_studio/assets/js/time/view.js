@@ -4,7 +4,7 @@
 export const LIVE_WINDOW = 30e9;
 export const LIVE_CURSOR_AT = 0.8;
 const MIN_VIEW = 1e3;
-// The window on a recording that is one moment long: the moment is in its middle.
+// The length of the window on a recording that is one moment long, which is in the middle.
 const POINT = 1e9;
 const SEL_PADDING = 0.1;
 
@@ -12,7 +12,7 @@ export function initial(from = 0, to = 60e9) {
   const data = extent(from, to);
   return {
     data,
-    // the first and the last message, which of a single one are the same
+    // the times of the first and the last message
     messages: [from, to],
     view: data,
     sel: [null, null],

@@ -2,7 +2,7 @@
 // it. Pure.
 
 // The columns `left` <= c < right of the rows a..b of a series; `x` maps a time to pixels. A row that reaches over the
-// edge of a column belongs to both. Answers {left, lo, hi, joins}: of each column the least and the greatest value (NaN
+// edge of a column belongs to both. Returns {left, lo, hi, joins}: of each column the least and the greatest value (NaN
 // where it is empty), and lines [c0, v0, c1, v1] across empty columns, where messages are farther apart than pixels.
 // Without a hole between them neighbours touch: a column reaches as far as the last value before it.
 export function columns(s, a, b, x, left, right) {
@@ -26,18 +26,18 @@ export function columns(s, a, b, x, left, right) {
     const c1 = Math.max(c0, Math.ceil(x(s.end(i))) - 1);
     for (let c = Math.max(c0, left); c <= Math.min(c1, right - 1); c++) put(c, s.min[i], s.max[i]);
     if (before && !s.holeBefore(i)) {
-      const near = Math.min(Math.max(before.v, s.min[i]), s.max[i]);
+      const near = clamp(before.v, s.min[i], s.max[i]);
       if (c0 > before.c + 1) joins.push([before.c, before.v, c0, near]);
       else put(c0, Math.min(near, before.v), Math.max(near, before.v));
     }
-    before = { c: c1, v: Number.isFinite(s.last[i]) ? s.last[i] : near0(s, i) };
+    before = { c: c1, v: Number.isFinite(s.last[i]) ? s.last[i] : clamp(0, s.min[i], s.max[i]) };
   }
   return { left, lo, hi, joins };
 }
 
-const near0 = (s, i) => Math.min(Math.max(0, s.min[i]), s.max[i]);
+const clamp = (v, lo, hi) => Math.min(Math.max(v, lo), hi);
 
-// The pixels of a column between two heights: all that the values touch, `least` at least.
+// The first pixel and the height of a stroke: it covers all pixels between two heights, and at least `least`.
 export function strokeOf(top, bottom, least) {
   const from = Math.floor(top),
     to = Math.max(Math.ceil(bottom), from + 1);

@@ -1,4 +1,4 @@
-// One number over time: a line, and the band between the extremes where there are more messages than pixels.
+// One number over time: a line, or columns between the extremes where there are more messages than pixels.
 
 import { number, valueText } from "../page/number_text.js";
 import * as paint from "./paint.js";
@@ -25,7 +25,7 @@ export const line = {
     });
   },
 
-  // told: the exact values at the cursor (`ValueChannel`); apart: how close two values are that must differ.
+  // told: the exact values at the cursor (`ValueChannel`); apart: the least difference that the text must show.
   text({ layer, name }, told, apart) {
     const exact = told.values.get(name);
     if (exact === undefined) return "";

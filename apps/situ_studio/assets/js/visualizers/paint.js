@@ -23,7 +23,7 @@ export function line(
   ctx.lineWidth = width * ratio;
   ctx.lineJoin = "round";
   if (!s.raw) {
-    upright(ctx, s, a, b, view, x, y, { least: Math.max(Math.round(width * ratio), 1), step, joined });
+    paintColumns(ctx, s, a, b, view, x, y, { least: Math.max(Math.round(width * ratio), 1), step, joined });
     if (points) dots(ctx, s, a, b, x, y, (size / 2) * ratio, marker);
     return;
   }
@@ -57,8 +57,7 @@ export function line(
     py = p;
   }
   if (pen && s.holeBefore(b)) alone(b);
-  // a step holds until the next message is due
-  if (step && pen && b === n - 1) ctx.lineTo(Math.min(x(view[1]), x(s.t[b] + Math.min(s.patience(b), 1e15))), py);
+  if (step && pen && b === n - 1) ctx.lineTo(stepEnd(s, b, view, x), py);
   if (joined) ctx.stroke();
   // dots show single messages, as long as they are apart
   const apart = b > a ? (x(s.t[b]) - x(s.t[a])) / (b - a) : Infinity;
@@ -66,8 +65,8 @@ export function line(
     dots(ctx, s, a, b, x, y, points ? (size / 2) * ratio : 1.75 * ratio, points ? marker : "circle");
 }
 
-// Opaque: one sample that stands out must be seen at every zoom.
-function upright(ctx, s, a, b, view, x, y, { least, step = false, joined = true }) {
+// The columns are opaque: one sample that stands out must be seen at every zoom.
+function paintColumns(ctx, s, a, b, view, x, y, { least, step = false, joined = true }) {
   const found = columns(s, a, b, x, Math.floor(x(view[0])), Math.ceil(x(view[1])));
   ctx.beginPath();
   for (let k = 0; k < found.lo.length; k++) {
@@ -83,13 +82,15 @@ function upright(ctx, s, a, b, view, x, y, { least, step = false, joined = true 
     if (step) ctx.lineTo(c1 + 0.5, y(v0));
     ctx.lineTo(c1 + 0.5, y(v1));
   }
-  // a step holds until the next message is due
   if (step && b === s.length - 1 && Number.isFinite(s.last[b])) {
     ctx.moveTo(x(s.t[b]), y(s.last[b]));
-    ctx.lineTo(Math.min(x(view[1]), x(s.t[b] + Math.min(s.patience(b), 1e15))), y(s.last[b]));
+    ctx.lineTo(stepEnd(s, b, view, x), y(s.last[b]));
   }
   ctx.stroke();
 }
+
+// The last step holds until the next message is due.
+const stepEnd = (s, b, view, x) => Math.min(x(view[1]), x(s.t[b] + Math.min(s.patience(b), 1e15)));
 
 // The outlines of markers around a place; those of strokes only are drawn as such.
 const MARKERS = {
@@ -131,7 +132,7 @@ function dots(ctx, s, a, b, x, y, r, marker) {
   else ctx.fill();
 }
 
-// Sound: columns between the extremes, a pixel high at least so that silence shows.
+// Sound: columns between the extremes, at least a pixel high so that silence shows.
 export function wave(ctx, s, view, x, y, { color, ratio = 1 }) {
   const n = s.length;
   if (!n) return;
@@ -139,7 +140,7 @@ export function wave(ctx, s, view, x, y, { color, ratio = 1 }) {
   const b = Math.min(s.at(view[1]) + 1, n - 1);
   ctx.fillStyle = ctx.strokeStyle = color;
   ctx.lineWidth = ratio;
-  upright(ctx, s, a, b, view, x, y, { least: 1 });
+  paintColumns(ctx, s, a, b, view, x, y, { least: 1 });
 }
 
 // Latency: a stem per message, in the warning colour above the threshold; below zero it points down.

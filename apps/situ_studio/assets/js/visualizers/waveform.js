@@ -1,4 +1,4 @@
-// Sound: the band between its extremes, about zero.
+// Sound: columns between its extremes, about zero.
 
 import { valueText } from "../page/number_text.js";
 import { line } from "./line.js";

@@ -1,11 +1,11 @@
 import test from "node:test";
 import assert from "node:assert/strict";
-import { backTo } from "../../js/page/back.js";
+import { backAddress } from "../../js/page/back.js";
 
 test("the way back is the studio's own page before this one", () => {
   const base = "https://lab.example/studio/",
     here = base + "settings";
-  assert.equal(backTo(base + "s/Talk.0000?at=5", here, base), base + "s/Talk.0000?at=5");
+  assert.equal(backAddress(base + "s/Talk.0000?at=5", here, base), base + "s/Talk.0000?at=5");
   for (const other of ["", "https://elsewhere.example/x", here, here + "?a=1", "https://lab.example/other"])
-    assert.equal(backTo(other, here, base), base);
+    assert.equal(backAddress(other, here, base), base);
 });
