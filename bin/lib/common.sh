@@ -8,7 +8,8 @@ export SITU_ROOT
 SITU_STATE="$SITU_ROOT/.situ"
 NPM_MARK=node_modules/.package-lock.json
 
-# These variables decide which code a virtual machine loads: they are for mix and iex, which do not come by here.
+# These variables decide which code a virtual machine loads. They are meant for mix and iex, which do not use
+# this file.
 unset ERL_LIBS ERL_FLAGS ERL_AFLAGS ERL_ZFLAGS ERL_COMPILER_OPTIONS ERL_INETRC ERL_ROOTDIR ELIXIR_ERL_OPTIONS
 unset "${!ERL_OTP@}"
 
@@ -118,8 +119,8 @@ situ_prod() { start_vm "$(release_flags)" -s Elixir.Situ.CLI start -extra "$@"; 
 # folder.
 #
 # Erlang's code server always begins with "." in its path, and looks there for the modules of its own start. So the
-# machine starts in a folder of this checkout, takes "." out of its path before anything else runs, and only then
-# enters the caller's folder: by a handle, since its name may be no UTF-8. Without .erlang (no_dot_erlang).
+# machine starts in a folder of this checkout, removes "." from its path before anything else runs, and only then enters
+# the caller's folder. It enters by a handle, since the name may not be UTF-8. It does not read .erlang (no_dot_erlang).
 start_vm() {
   local elixir yaws folder flags=$1 here=$PWD
   shift
@@ -128,7 +129,7 @@ start_vm() {
   # A folder that may be entered but not listed has no handle, and is entered by its name.
   if { exec {folder}<.; } 2>/dev/null && [ -d "/dev/fd/$folder/" ]; then folder=/dev/fd/$folder; else folder=$here; fi
   cd "$SITU_ROOT/bin/lib"
-  # A dump holds everything the machine knows, tokens and recordings too: none is written, unless ERL_CRASH_DUMP names it.
+  # A crash dump contains the whole memory, tokens too: none is written unless ERL_CRASH_DUMP names a file.
   [ -n "${ERL_CRASH_DUMP:-}" ] || export ERL_CRASH_DUMP_SECONDS=0
   # Standard output is for results: warnings of Erlang's and of Elixir's logger go to standard error. Reports of
   # supervisors stay out, as with Elixir's logger: a reader that closes the pipe early (head) is not worth one.

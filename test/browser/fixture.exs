@@ -128,8 +128,8 @@ defmodule Fixture do
     :ok = Writer.close(writer)
   end
 
-  # A signal at 1 kHz with single messages that stand out. A file beside the recording holds its values.
-  def record_dense(name, folder, told) do
+  # Records a signal at 1 kHz with single messages that stand out, and writes its values to `values_file`.
+  def record_dense(name, folder, values_file) do
     :rand.seed(:exsss, {4, 2, 29})
 
     values =
@@ -147,7 +147,7 @@ defmodule Fixture do
     {:ok, out} = Writer.append(out, messages)
     {:ok, _} = Writer.close_stream(out, @t0 + 39_999 * 1_000_000)
     :ok = Writer.close(writer)
-    File.write!(told, Situ.JSON.encode(values))
+    File.write!(values_file, Situ.JSON.encode(values))
   end
 
   # Random streams: regular ones with holes, irregular ones, states that flicker and states that stay, maps of them. A

@@ -3,8 +3,8 @@ import { chromium } from "playwright-core";
 import { mkdirSync } from "node:fs";
 import { join } from "node:path";
 
-// How long something may take, in ms: much longer than it does, also where other programs keep the machine busy. It is
-// waited for as long only where a test fails.
+// How long a step may take, in ms: far longer than it needs, even where other programs keep the machine busy. Only a
+// test that fails waits as long.
 export const PATIENCE = 120_000;
 
 const tests = [];
@@ -25,8 +25,8 @@ export function near(actual, expected, by, what) {
     throw new Error(`${what}: expected ${expected} within ${by}, got ${actual}`);
 }
 
-// Waits until `probe` in the page is true, and answers a handle of its value; it is asked every 30 ms, or with every
-// picture ("raf").
+// Waits until `probe` is true in the page, and returns a handle of its value. The page evaluates it every 30 ms, or
+// once per animation frame ("raf").
 export async function until(page, probe, what, arg, polling = 30) {
   try {
     return await page.waitForFunction(probe, arg, { timeout: PATIENCE, polling });
@@ -64,7 +64,7 @@ export async function runAll({ filter = "", times = 1, shots }) {
       // WebGL by software: there is no graphics card to count on
       "--use-angle=swiftshader",
       "--enable-unsafe-swiftshader",
-      // everything else is painted without WebGL's detour, which takes three times the work
+      // 2D content is painted in software: through the emulated GPU it takes three times the work
       "--disable-gpu-compositing",
       "--disable-gpu-rasterization",
       "--disable-accelerated-2d-canvas",

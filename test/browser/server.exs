@@ -19,7 +19,7 @@ random = Path.join(work, "random.json")
 
 File.mkdir_p!(folder)
 
-# Written at the same time, as many as there are cores.
+# As many recordings as there are cores are written at the same time.
 recordings =
   Task.async(fn ->
     [

@@ -13,7 +13,8 @@ export async function open(page, base, source, query = "") {
 
 let waits = 0;
 
-// Nothing is asked for, nothing waits to be drawn, in some pictures one after the other: an answer may ask for more.
+// Waits until no request is in flight and nothing waits to be drawn, in five animation frames in a row: an answer may
+// cause another request.
 export async function settled(page) {
   const still = (wait) => {
     const s = window.situStudio;
@@ -22,9 +23,9 @@ export async function settled(page) {
       !s.client.inflight &&
       s.frames.dirty.size === 0 &&
       ![...s.views].some((v) => v.layers?.some((l) => l.decoding));
-    if (window.stillness?.wait !== wait) window.stillness = { wait, pictures: 0 };
-    window.stillness.pictures = calm ? window.stillness.pictures + 1 : 0;
-    return window.stillness.pictures > 4;
+    if (window.stillness?.wait !== wait) window.stillness = { wait, frames: 0 };
+    window.stillness.frames = calm ? window.stillness.frames + 1 : 0;
+    return window.stillness.frames > 4;
   };
   await until(page, still, "the page is still", ++waits, "raf");
 }
@@ -91,8 +92,8 @@ export async function panelOf(page, stream) {
   return page.evaluate(find, stream);
 }
 
-// The legend's words about a stream at the cursor, as soon as the server has told them: {text, exact}, where `exact`
-// is the whole value.
+// Waits for the server's answer, and returns what the legend shows of a stream at the cursor: {text, exact}, where
+// `exact` is the whole value.
 export async function legendOf(page, stream) {
   const find = (s) => {
     const at = document.querySelector(`.legend-item[data-stream="${CSS.escape(s)}"] b`);
@@ -101,7 +102,7 @@ export async function legendOf(page, stream) {
     const exact = /^at the cursor: (.*)$/m.exec(at.title)?.[1] ?? "";
     return { text: at.textContent, exact };
   };
-  return (await until(page, find, `the value of ${stream} is told`, stream)).jsonValue();
+  return (await until(page, find, `the value of ${stream} is shown`, stream)).jsonValue();
 }
 
 // Puts the mouse where `t` (ns after the start) is on a timeline.

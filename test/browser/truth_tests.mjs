@@ -150,8 +150,8 @@ test("7 truth: a column of pixels reaches from the least to the greatest of its 
   ok(compared > 3000, `${compared} columns were compared`);
 });
 
-// Compares the top and the bottom pixel of the line in each column with the messages of that column: those of the
-// column itself must be covered, and nothing but those of its neighbours may be.
+// Compares the top and the bottom pixel of the line in each column with the messages there: the line must cover the
+// messages of the column, and must not reach beyond those of the columns next to it.
 async function compareColumns(page, rows, round) {
   const { view, y, box, columns } = await page.evaluate(lineColumns, "Signal");
   const height = (v) => box.top + box.height - ((v - y[0]) / (y[1] - y[0])) * box.height;
@@ -180,8 +180,8 @@ async function compareColumns(page, rows, round) {
   return compared;
 }
 
-// In the page: the plot of a stream, and of each column of its canvas the first and the last opaque pixel of the
-// stream's colour.
+// Runs in the page. Returns the plot of a stream, and the first and the last opaque pixel of the stream's colour in
+// each column of its canvas.
 function lineColumns(stream) {
   const view = [...window.situStudio.views].find((v) => v.plot && v.layers.some((l) => l.vis.stream === stream));
   const { canvas } = view.plot.ctx;

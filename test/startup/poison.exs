@@ -1,5 +1,6 @@
-# Fills the folder (its first argument) with modules named like those that a virtual machine loads on its way, and those
-# of its applications. Loading one of them leaves a file in the folder of marks (the second argument).
+# Fills a folder (the first argument) with modules that have the names of those that a virtual machine loads when it
+# starts, and of those of its applications. Loading one of them leaves a file in the folder of marks (the
+# second argument).
 [folder, marks | _] = System.argv()
 File.mkdir_p!(folder)
 

@@ -1,22 +1,20 @@
-# Runs every verb of the command line in the current folder: its help, and the verb itself with arguments that name
-# nothing. Those that stay, or that ask other machines, are left at their help.
+# Runs every verb of the command line in the current folder: its help, and then the verb with arguments that name
+# nothing. Verbs that keep running, or that ask other machines, only print their help.
 {:ok, _} = Application.ensure_all_started(:ex_unit)
 stay = [["store", "record"], ["studio"], ["serve"], ["talk"], ["plugin", "test"]]
 verbs = Situ.CLI.Commands.all()
 
-for verb <- verbs, argument <- ["--help", "--json"] do
-  arguments =
-    for {_, spec} <- verb.arguments, not (spec[:optional] || false), do: "nothing-of-that-name"
-
-  real? = argument == "--json" and verb.words not in stay and hd(verb.words) != "cluster"
-
+run = fn words ->
   ExUnit.CaptureIO.capture_io(:stderr, fn ->
-    ExUnit.CaptureIO.capture_io("", fn ->
-      if real?,
-        do: Situ.CLI.run(verb.words ++ arguments),
-        else: Situ.CLI.run(verb.words ++ ["--help"])
-    end)
+    ExUnit.CaptureIO.capture_io("", fn -> Situ.CLI.run(words) end)
   end)
+end
+
+for verb <- verbs do
+  run.(verb.words ++ ["--help"])
+  arguments = for {_, spec} <- verb.arguments, !spec[:optional], do: "nothing-of-that-name"
+
+  unless verb.words in stay or hd(verb.words) == "cluster", do: run.(verb.words ++ arguments)
 end
 
 foreign =

@@ -1,9 +1,9 @@
 defmodule Situ.Build.ScratchTest do
-  # One home for temporary files: their names are random and their folders closed there, and nowhere else.
+  # Only Situ.Scratch gives temporary files random names in folders that are closed to other users.
   use ExUnit.Case, async: true
 
   @root Path.expand("../../../../..", __DIR__)
-  # It makes them; a socket's path must be short; stores in memory have a name that others look for.
+  # Situ.Scratch itself; stores in memory, whose name other processes look for; sockets, whose paths must be short.
   @homes ~w(situ_types/lib/situ/scratch.ex situ_store/lib/situ/store/volatile.ex) ++
            ~w(situ_media/lib/situ/media/ffmpeg/socket.ex)
 
