@@ -54,9 +54,9 @@ defmodule Situ.Cluster do
   (a recording, a link) with the parts that use it. The log of a finished deployment stays until `prune/2` deletes it.
   An upgrade does not change the graph.
 
-  The log has the deployments too, so nodes that were all lost at once run them again when they are back, but for those
-  that have ended or were forgotten. Its entries are sealed with the cluster's cookie: one that somebody else wrote,
-  changed or moved is never data, and the part that meets it fails with the reason.
+  The log contains the deployments too. Nodes that were all lost at once run them again when they are back, except those
+  that have ended or were forgotten. The log's entries are sealed with the cluster's cookie. An entry that somebody else
+  wrote, changed or moved is never data, and the part that reads it fails with the reason.
 
   ## Options of `deploy/2`
 
@@ -92,7 +92,7 @@ defmodule Situ.Cluster do
     ]
   ]
 
-  # A busy cluster is to be looked at, too.
+  # A node of a busy cluster gets this long to answer.
   @answer_ms 5_000
 
   @typedoc "The result of `deploy/2`; it is valid on every node."
@@ -103,7 +103,7 @@ defmodule Situ.Cluster do
   def child_spec(opts), do: %{id: __MODULE__, start: {__MODULE__, :start_link, [opts]}}
 
   @doc """
-  Makes this node a member of the cluster. A NATS server that is not there yet is waited for, and it is said why.
+  Makes this node a member of the cluster. Waits for a NATS server that is not running yet, and logs the reason.
 
   #{Options.docs(@schema)}
   """
@@ -130,7 +130,7 @@ defmodule Situ.Cluster do
   end
 
   defp log(%Log{} = log, _opts), do: {:ok, log}
-  # A server that is not there yet is waited for, as one that is lost is.
+  # The node waits for a server that is not running yet, as it does for a lost one.
   defp log("nats://" <> _ = address, opts), do: Log.connect(address, [wait: true] ++ opts)
   defp log(address, opts), do: Log.connect(address, opts)
 
@@ -166,7 +166,7 @@ defmodule Situ.Cluster do
 
   defp log(%Deployment{run: run}), do: SealedLog.new(Agent.log(), run || "")
 
-  # A failed part is reported at once, even while others run; so is a note of its state that is not its own.
+  # A failed part is reported at once, even while others run; so is a refused entry in place of its state.
   defp await(log, deployment, parts, till) do
     states =
       for part <- parts, do: {part, Log.last(log, {:key, Runner.key(deployment, part, "state")})}
@@ -473,7 +473,7 @@ defmodule Situ.Cluster do
       {:error, Error.new(:unreachable, "#{node} is lost: #{inspect(reason, limit: 5)}")}
   end
 
-  # A node that does not answer in time has none.
+  # A node that does not answer in time counts as one without runners.
   defp everywhere(deployment) do
     nodes = Map.keys(Agent.info().members)
 

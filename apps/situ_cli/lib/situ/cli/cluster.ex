@@ -97,12 +97,16 @@ defmodule Situ.CLI.Cluster do
     end
 
     recordings = opts[:recordings] || if(File.dir?("recordings"), do: "recordings")
-    settings = [log: log, labels: opts[:label], devices: opts[:device], recordings: recordings]
-    log_options = ClusterLog.connect_options(log, opts, folder(opts))
 
-    {:ok, agent} =
-      [log_options: log_options] |> Keyword.merge(settings) |> Cluster.join() |> joined()
+    settings = [
+      log: log,
+      log_options: ClusterLog.connect_options(log, opts, folder(opts)),
+      labels: opts[:label],
+      devices: opts[:device],
+      recordings: recordings
+    ]
 
+    {:ok, agent} = settings |> Cluster.join() |> joined()
     Output.puts("#{name} is up")
 
     if opts[:studio],

@@ -117,7 +117,7 @@ defmodule Situ.CLI.ClusterDeployment do
     deployment = find(name, opts, ask)
 
     if opts[:forget] do
-      forget(ask.(opts, Cluster, :forget, [deployment]))
+      Error.unwrap!(ask.(opts, Cluster, :forget, [deployment]))
       Output.puts("#{name} is taken away; its log stays (see `situ cluster prune`)")
     else
       :ok = ask.(opts, Cluster, :stop, [deployment])
@@ -126,9 +126,6 @@ defmodule Situ.CLI.ClusterDeployment do
 
     0
   end
-
-  defp forget({:error, error}), do: raise(error)
-  defp forget(:ok), do: :ok
 
   defp move(%{deployment: name, part: part, to: to}, opts, ask) do
     to_node = String.to_atom(to)

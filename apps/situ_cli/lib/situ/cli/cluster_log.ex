@@ -16,12 +16,19 @@ defmodule Situ.CLI.ClusterLog do
         "with nats://: a file whose first line is user:password",
         value: "FILE"
       ),
-      Option.new(:log_ca, :path, "with nats://: who has signed the server's certificate",
+      Option.new(
+        :log_ca,
+        :path,
+        "with nats://: the authority that has signed the server's certificate",
         value: "FILE"
       ),
       Option.new(:log_cert, :path, "with nats://: the certificate to show", value: "FILE"),
       Option.new(:log_key, :path, "with nats://: its key", value: "FILE"),
-      Option.new(:log_plain, :flag, "with nats://: nothing of the cluster's folder, no TLS")
+      Option.new(
+        :log_plain,
+        :flag,
+        "with nats://: use no file of the cluster's folder, and no TLS"
+      )
     ]
   end
 
@@ -29,7 +36,7 @@ defmodule Situ.CLI.ClusterLog do
   @spec connect_options(String.t(), keyword(), Path.t()) :: keyword()
   def connect_options("nats://" <> rest, opts, identity) do
     own = if opts[:log_plain], do: [], else: Identity.log_options(identity)
-    own = if login?(rest), do: Keyword.delete(own, :credentials), else: own
+    own = if String.contains?(rest, "@"), do: drop_credentials(own), else: own
     named = for {key, file} <- [credentials: opts[:log_credentials]], file, do: {key, file}
     own |> Keyword.merge(named) |> with_tls(tls(opts))
   end
@@ -44,18 +51,14 @@ defmodule Situ.CLI.ClusterLog do
   defp flag(name), do: "--" <> String.replace(Atom.to_string(name), "_", "-")
   defp fix, do: "give it with --log nats://host:4222, or leave it out"
 
-  # A password in the address works, and can be read by others.
-  defp login?(rest) do
-    login? = String.contains?(rest, "@")
+  # A login in the address works, but other users can read it.
+  defp drop_credentials(options) do
+    Output.warn(
+      "situ cluster: every user of this machine can read the login in --log in the list of processes;" <>
+        " write it into a file and give --log-credentials FILE"
+    )
 
-    if login? do
-      Output.warn(
-        "situ cluster: every user of this machine can read the login in --log in the list of processes;" <>
-          " write it into a file and give --log-credentials FILE"
-      )
-    end
-
-    login?
+    Keyword.delete(options, :credentials)
   end
 
   defp tls(opts) do
@@ -68,7 +71,7 @@ defmodule Situ.CLI.ClusterLog do
         do: {key, file}
   end
 
-  # Another authority is asked about the name of the server's machine, too.
+  # With another authority the name of the server's machine is checked, too.
   defp with_tls(options, []), do: options
 
   defp with_tls(options, named) do

@@ -29,7 +29,7 @@ defmodule Situ.Cluster.Agent do
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts, name: __MODULE__)
 
-  @doc "Notes a deployment in the log, and runs it; with its run."
+  @doc "Notes a deployment in the log and runs it. Returns it with its run."
   @spec deploy(GenServer.server(), Situ.Cluster.Deployment.t()) ::
           {:ok, Situ.Cluster.Deployment.t()} | {:error, Situ.Error.t()}
   def deploy(agent \\ __MODULE__, deployment) do
@@ -37,20 +37,22 @@ defmodule Situ.Cluster.Agent do
 
     with {:ok, _plan} <- Assembly.plan(deployment),
          {:ok, deployment} <- Deployments.put(log, deployment),
-         :ok <- kept(GenServer.call(agent, {:deploy, deployment}, 60_000), log, deployment) do
+         :ok <- install_first(agent, log, deployment) do
       others = Map.keys(info(agent).members) -- [node()]
       if others != [], do: spread(others, deployment, @spread_times)
       {:ok, deployment}
     end
   end
 
-  # A deployment that does not run here is not to come back after a restart.
-  defp kept({:error, %{code: code} = error}, log, deployment) when code != :duplicate_name do
-    _ = Deployments.forget(log, deployment.name)
-    {:error, error}
-  end
+  # A deployment that cannot run here must not come back after a restart.
+  defp install_first(agent, log, deployment) do
+    answer = GenServer.call(agent, {:deploy, deployment}, 60_000)
 
-  defp kept(answer, _log, _deployment), do: answer
+    with {:error, %{code: code}} when code != :duplicate_name <- answer,
+         do: Deployments.forget(log, deployment.name)
+
+    answer
+  end
 
   # It is deployed when another node knows it too: this one may be lost the next moment.
   defp spread(others, deployment, 0) do
@@ -166,7 +168,7 @@ defmodule Situ.Cluster.Agent do
         :ok
 
       deployments when is_map_key(deployments, deployment.name) ->
-        {:error, Deployments.taken(deployment.name)}
+        {:error, Deployments.duplicate_error(deployment.name)}
 
       _ ->
         :ok
@@ -189,19 +191,18 @@ defmodule Situ.Cluster.Agent do
     {:noreply, routed(state, part, epoch, pid)}
   end
 
-  # Its supervisor has started it again; nobody waits for one of a deployment that was forgotten.
+  # The supervisor has started a runner again. Its part may be forgotten, or have another runner already.
   def handle_cast({:runs, part, runner}, state) do
-    case state.runners do
-      %{^part => known} when known != runner ->
-        if Process.alive?(known), do: Runner.dismiss(runner)
+    known = state.runners[part]
 
-        {:noreply,
-         if(Process.alive?(known), do: state, else: put_in(state.runners[part], runner))}
-
-      %{^part => _itself} ->
+    cond do
+      known == runner ->
         {:noreply, state}
 
-      _ ->
+      known != nil and not Process.alive?(known) ->
+        {:noreply, put_in(state.runners[part], runner)}
+
+      true ->
         Runner.dismiss(runner)
         {:noreply, state}
     end
@@ -232,7 +233,7 @@ defmodule Situ.Cluster.Agent do
 
   def handle_info({:nodedown, node}, state) do
     if is_map_key(state.members, node),
-      do: Logger.warning("the node #{node} is gone: others take its parts over")
+      do: Logger.warning("the node #{node} is lost: other nodes take its parts over")
 
     for {_, runner} <- state.runners, do: Runner.down(runner, node)
     {:noreply, put_members(state, Map.delete(state.members, node))}
@@ -295,7 +296,7 @@ defmodule Situ.Cluster.Agent do
     end
   end
 
-  # A runner may take its time: this process does not wait for any.
+  # A runner may end slowly, so a task waits for the runners and calls `done`.
   defp remove(state, name, done) do
     {gone, kept} = Enum.split_with(state.runners, fn {{of, _}, _} -> of == name end)
     pids = for {_, pid} <- gone, do: pid

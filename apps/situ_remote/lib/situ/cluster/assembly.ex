@@ -49,9 +49,9 @@ defmodule Situ.Cluster.Assembly do
     Pipeline.start(build, pipeline: settings)
   end
 
-  # Handlers close what `build/2` has opened: recordings, links. Those of a resource go with the components that use it;
-  # a resource that other parts use is given up here, or each part would leave a recording of nothing. All other
-  # handlers run with the part that is not named by any rule, and with parts that record.
+  # Handlers close the recordings and links that `build/2` has opened. The handlers of a resource run with the
+  # components that use it. A resource that other parts use is given up here, or each part would leave an empty
+  # recording. All other handlers run with the part that no rule names, and with parts that record.
   defp handlers(graph, whole, plan, part) do
     main? = part == Plan.main(plan)
     records? = Enum.any?(graph.vertices, fn {_, v} -> v.module == Situ.Store.Sink end)
@@ -72,15 +72,15 @@ defmodule Situ.Cluster.Assembly do
   end
 
   defp uses?(graph, resource),
-    do: Enum.any?(graph.vertices, fn {_, vertex} -> option?(vertex.opts, resource) end)
+    do: Enum.any?(graph.vertices, fn {_, vertex} -> option_uses?(vertex.opts, resource) end)
 
-  # Operators have options of their own, which are no list of names.
-  defp option?([{_name, value} | rest], resource),
-    do: value == resource or within?(value, resource) or option?(rest, resource)
+  # The options of operators are not a keyword list.
+  defp option_uses?([{_name, value} | rest], resource),
+    do: value == resource or in_tuple?(value, resource) or option_uses?(rest, resource)
 
-  defp option?(_other, _resource), do: false
+  defp option_uses?(_other, _resource), do: false
 
-  defp within?(value, resource), do: is_tuple(value) and resource in Tuple.to_list(value)
+  defp in_tuple?(value, resource), do: is_tuple(value) and resource in Tuple.to_list(value)
 
   defp give_up(graph), do: for({:abandoned, fun} <- graph.handlers, do: fun.(nil))
 end

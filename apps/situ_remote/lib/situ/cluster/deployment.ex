@@ -75,7 +75,7 @@ defmodule Situ.Cluster.Deployment do
 
   @enforce_keys [:name, :module, :opts, :rules, :checkpoint, :lease] ++
                   [:retain, :balance, :publish, :direct, :pipeline]
-  # `run` is given to it when it is noted in the log (`Situ.Cluster.Deployments`).
+  # `Situ.Cluster.Deployments` sets `run` when it notes the deployment in the log.
   defstruct [:run | @enforce_keys]
 
   @type rule :: %{

@@ -1,7 +1,7 @@
 defmodule Situ.Cluster.DeploymentLoader do
   @moduledoc false
-  # Gives a node that has just started the deployments in the log, so that a cluster all of whose nodes were lost runs
-  # again what it ran; those that have ended stay in the log alone. Waits for a log that is away.
+  # Installs the deployments in the log on a node that has just started, so that a cluster which lost all of its nodes
+  # runs them again. Deployments that have ended are not installed. Waits for a log that is away.
   use Task, restart: :transient
 
   alias Situ.Cluster.{Assembly, Deployments, Runner, SealedLog}
@@ -15,14 +15,14 @@ defmodule Situ.Cluster.DeploymentLoader do
 
   @doc false
   @spec run(Log.t(), GenServer.server(), boolean()) :: :ok
-  def run(log, agent, told?) do
+  def run(log, agent, warned?) do
     case load_all(log, agent) do
       :ok ->
-        if told?, do: Logger.warning("the log is there now")
+        if warned?, do: Logger.warning("the log answers now")
         :ok
 
       {:error, %{code: :log_away} = error} ->
-        unless told?,
+        unless warned?,
           do: Logger.warning("this node waits for its log: #{Exception.message(error)}")
 
         receive do
@@ -31,23 +31,20 @@ defmodule Situ.Cluster.DeploymentLoader do
         end
 
       {:error, error} ->
-        Logger.error("deployments of before do not run again: #{Exception.message(error)}")
+        Logger.error("the deployments in the log do not run again: #{Exception.message(error)}")
     end
   end
 
   defp load_all(log, agent) do
-    with {:ok, deployments} <- Deployments.all(log) do
-      Enum.reduce_while(deployments, :ok, fn deployment, :ok ->
-        case load(log, agent, deployment) do
-          :ok -> {:cont, :ok}
-          {:error, error} -> {:halt, {:error, error}}
-        end
-      end)
-    end
+    with {:ok, deployments} <- Deployments.all(log),
+         do: Enum.find_value(deployments, :ok, &load_failure(log, agent, &1))
   end
 
+  defp load_failure(log, agent, deployment),
+    do: with(:ok <- load(log, agent, deployment), do: nil)
+
   defp load(log, agent, %{name: name} = deployment) do
-    case Deployments.there?(log, name, deployment.run) do
+    case Deployments.find_log(log, name, deployment.run) do
       {:ok, true} ->
         unless ended?(log, deployment), do: GenServer.cast(agent, {:install, deployment})
         :ok

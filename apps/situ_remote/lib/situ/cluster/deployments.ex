@@ -1,11 +1,11 @@
 defmodule Situ.Cluster.Deployments do
   @moduledoc false
-  # The deployments of a cluster, as its log keeps them: one key with all of them, so that nodes which were all lost at
-  # once know again what they ran. Each has a run, a random name that is part of the key of its seals: when its log has
-  # been deleted and something else is deployed under the same name, no entry of before is believed.
+  # The deployments of a cluster in its log: one key holds all of them, so that nodes which were all lost at once can
+  # run them again. Each has a run, a random name that is part of the key of its seals. When a log was deleted and
+  # another deployment gets the same name, nodes refuse all entries of the earlier one.
   #
-  # A deployment that was forgotten keeps its run as long as its log is there, and goes on where it was when it is
-  # deployed again. Its log has a mark, which goes when the log is deleted, also by somebody without the cookie.
+  # A forgotten deployment keeps its run as long as its log exists, and continues where it was when it is deployed
+  # again. The log of a run has a mark, which is deleted together with it, even by somebody without the cookie.
   alias Situ.Cluster.{Deployment, Seal, SealedLog}
   alias Situ.Error
   alias Situ.Remote.Log
@@ -16,87 +16,90 @@ defmodule Situ.Cluster.Deployments do
   @typedoc "By name; `deployment` is `nil` when it was forgotten."
   @type known :: %{String.t() => %{run: String.t(), deployment: Deployment.t() | nil}}
 
-  @doc "Notes a deployment, and gives it its run; one that is there under its name must be the same."
+  @doc "Notes a deployment and gives it its run. One that is noted under the same name must be the same."
   @spec put(Log.t(), Deployment.t()) :: {:ok, Deployment.t()} | {:error, Error.t()}
   def put(log, %Deployment{} = deployment) do
-    with {:ok, deployment} <- note(log, deployment),
-         :ok <- mark(log, deployment),
+    with {:ok, deployment} <- put_deployment(log, deployment),
+         :ok <- put_mark(log, deployment),
          do: {:ok, deployment}
   end
 
-  defp note(log, %{name: name} = deployment) do
+  defp put_deployment(log, %{name: name} = deployment) do
     update(log, fn known ->
-      with {:ok, run} <- run(log, name, known[name]) do
+      with {:ok, run} <- choose_run(log, name, known[name]) do
         deployment = %{deployment | run: run}
 
         case known[name] do
-          %{deployment: %Deployment{} = other} when other != deployment -> {:error, taken(name)}
-          _ -> {:ok, Map.put(known, name, %{run: run, deployment: deployment}), deployment}
+          %{deployment: %Deployment{} = other} when other != deployment ->
+            {:error, duplicate_error(name)}
+
+          _ ->
+            {:ok, Map.put(known, name, %{run: run, deployment: deployment}), deployment}
         end
       end
     end)
   end
 
-  # The one that it had, as long as its log is there.
-  defp run(_log, _name, nil), do: {:ok, new_run()}
+  # It keeps the run that it had, as long as the log of that run exists.
+  defp choose_run(_log, _name, nil), do: {:ok, new_run()}
 
-  defp run(log, name, %{run: run}) do
-    with {:ok, there?} <- there?(log, name, run),
-         do: {:ok, if(there?, do: run, else: new_run())}
+  defp choose_run(log, name, %{run: run}) do
+    with {:ok, exists?} <- find_log(log, name, run),
+         do: {:ok, if(exists?, do: run, else: new_run())}
   end
 
-  defp mark(log, %{name: name, run: run}) do
-    case Log.append(SealedLog.new(log, run), mark(name), 0, %Entry{op: "deployed"}) do
+  defp put_mark(log, %{name: name, run: run}) do
+    case Log.append(SealedLog.new(log, run), mark_key(name), 0, %Entry{op: "deployed"}) do
       {:error, error} -> {:error, error}
-      _there -> :ok
+      _written_or_refused -> :ok
     end
   end
 
-  defp mark(name), do: {:key, "run.#{name}.deployed"}
+  defp mark_key(name), do: {:key, "run.#{name}.deployed"}
 
-  @doc "Whether the log of a run is there: somebody may have deleted it where no node ran."
-  @spec there?(Log.t(), String.t(), String.t()) :: {:ok, boolean()} | {:error, Error.t()}
-  def there?(log, name, run) do
-    with {:ok, mark} <- Log.last(SealedLog.new(log, run), mark(name)), do: {:ok, mark != nil}
+  @doc "Returns whether the log of a run exists: somebody may have deleted it while no node was running."
+  @spec find_log(Log.t(), String.t(), String.t()) :: {:ok, boolean()} | {:error, Error.t()}
+  def find_log(log, name, run) do
+    with {:ok, mark} <- Log.last(SealedLog.new(log, run), mark_key(name)), do: {:ok, mark != nil}
   end
 
   defp new_run, do: Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
 
-  @doc "It is not run any more; its log stays."
+  @doc "Notes that a deployment is not to run any more; its log stays."
   @spec forget(Log.t(), String.t()) :: :ok | {:error, Error.t()}
   def forget(log, name) do
-    changed(log, fn known ->
+    change_known(log, fn known ->
       if known[name], do: put_in(known[name].deployment, nil), else: known
     end)
   end
 
-  @doc "Its log is gone."
+  @doc "Deletes the note of a deployment whose log was deleted."
   @spec delete(Log.t(), String.t()) :: :ok | {:error, Error.t()}
-  def delete(log, name), do: changed(log, &Map.delete(&1, name))
+  def delete(log, name), do: change_known(log, &Map.delete(&1, name))
 
-  @doc "Those that are to run."
+  @doc "Returns the deployments that are to run."
   @spec all(Log.t()) :: {:ok, [Deployment.t()]} | {:error, Error.t()}
   def all(log) do
     with {:ok, known, _seq} <- read(sealed(log)),
          do: {:ok, for({_, %{deployment: %Deployment{} = d}} <- Enum.sort(known), do: d)}
   end
 
-  @doc "The error of a second deployment of one name."
-  @spec taken(String.t()) :: Error.t()
-  def taken(name) do
+  @doc "Returns the error of a second deployment with the same name."
+  @spec duplicate_error(String.t()) :: Error.t()
+  def duplicate_error(name) do
     Error.new(:duplicate_name, "there is already a deployment #{inspect(name)}",
       fix:
         "give this one another name:, or stop and forget that one (situ cluster stop NAME --forget)"
     )
   end
 
-  defp changed(log, change) do
+  defp change_known(log, change) do
     with {:ok, :ok} <- update(log, fn known -> {:ok, change.(known), :ok} end), do: :ok
   end
 
-  defp update(log, change, left \\ @tries) do
-    log = if match?(%Log{adapter: SealedLog}, log), do: log, else: sealed(log)
+  defp update(log, change), do: update(sealed(log), change, @tries)
 
+  defp update(log, change, left) do
     with {:ok, known, seq} <- read(log), {:ok, changed, answer} <- change.(known) do
       if changed == known,
         do: {:ok, answer},
@@ -124,7 +127,7 @@ defmodule Situ.Cluster.Deployments do
     end
   end
 
-  # Two clusters with cookies of their own may share a log.
-  defp subject, do: {:key, "deployments." <> Seal.cluster()}
+  # Two clusters with different cookies may share a log.
+  defp subject, do: {:key, "deployments." <> Seal.cluster_name()}
   defp sealed(log), do: SealedLog.new(log, "")
 end

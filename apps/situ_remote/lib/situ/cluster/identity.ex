@@ -1,12 +1,12 @@
 defmodule Situ.Cluster.Identity do
   @moduledoc """
-  The identity shared by a cluster's nodes: a cookie, certificates for TLS between them, and what they need for a NATS
-  server of their own, in a folder that only its owner reads. Made once, then copied to every machine.
+  The identity shared by a cluster's nodes: a cookie, certificates for TLS between them, and the files for their own
+  NATS server, in a folder that only its owner reads. Make it once, then copy it to every machine.
 
       cookie            the secret of Erlang's distribution and of the seals in the log
       ca.pem            the cluster's own authority: nobody else's certificates count
       node.pem/.key     the certificate of every node
-      nats.pem/.key     the certificate by which a NATS server knows a node
+      nats.pem/.key     the certificate that a node shows to the NATS server
       nats-ca.pem       the authority of that server
       nats-credentials  user and password there
       nats-server/      for the machine of the NATS server alone: its configuration and certificates
@@ -82,7 +82,7 @@ defmodule Situ.Cluster.Identity do
   @spec verify(term(), term(), term()) :: {:valid | :unknown, term()} | {:fail, term()}
   def verify(_certificate, {:bad_cert, :hostname_check_failed}, state), do: {:valid, state}
 
-  # As later versions of OTP have it.
+  # Later versions of OTP report it as a tuple.
   def verify(_certificate, {:bad_cert, reason}, state)
       when is_tuple(reason) and elem(reason, 0) == :hostname_check_failed,
       do: {:valid, state}
@@ -92,8 +92,8 @@ defmodule Situ.Cluster.Identity do
   def verify(_certificate, valid, state) when valid in [:valid, :valid_peer], do: {:valid, state}
 
   @doc """
-  The options of `Situ.Remote.Log.connect/2` for a NATS server that was set up with this identity; `[]` where it has
-  none.
+  Returns the options of `Situ.Remote.Log.connect/2` for a NATS server that was set up with this identity; `[]` for an
+  identity without one.
   """
   @spec log_options(Path.t()) :: keyword()
   def log_options(folder), do: NatsIdentity.log_options(folder, {&verify/3, []})

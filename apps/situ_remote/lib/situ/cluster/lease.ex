@@ -5,7 +5,7 @@ defmodule Situ.Cluster.Lease do
   # No clocks are compared: the lease is free when its number has not changed for the lease's time on the observer's own
   # clock. A look that took longer than a lease, or that comes late, says nothing about the owner: the observer starts
   # counting again.
-  alias Situ.Error
+  alias Situ.Cluster.Seal
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
 
@@ -24,12 +24,14 @@ defmodule Situ.Cluster.Lease do
           took: non_neg_integer()
         }
 
+  @typedoc "One reading of the lease: its `seq` and `owner`, and the times (ms) before and after."
+  @type look :: {non_neg_integer(), String.t() | nil, integer(), integer()}
+
   @doc """
   Takes in one reading of the lease: its `seq` and `owner`, and the times (ms) before and after. `wait` is how much
   longer than the lease this observer waits, so that preferred nodes come first.
   """
-  @spec observe(t(), {non_neg_integer(), String.t() | nil, integer(), integer()}, map()) ::
-          {:take | :wait, t()}
+  @spec observe(t(), look(), map()) :: {:take | :wait, t()}
   def observe(%__MODULE__{} = lease, {seq, owner, before, now}, %{
         lease: ms,
         poll: poll,
@@ -56,8 +58,8 @@ defmodule Situ.Cluster.Lease do
   end
 
   @doc """
-  The owner has said, by the connection between the nodes, that it wrote the lease under `seq`. This comes later than
-  the write itself, so to count from here is safe; the log need not be looked at.
+  Notes that the owner has reported, by the connection between the nodes, that it wrote the lease under `seq`. The
+  report arrives after the write itself, so it is safe to count from here without a look at the log.
   """
   @spec hear(t(), pos_integer(), String.t(), integer()) :: t()
   def hear(%__MODULE__{} = lease, seq, owner, now),
@@ -70,8 +72,7 @@ defmodule Situ.Cluster.Lease do
 
   @doc "One look at the log."
   @spec look(Log.t(), String.t()) ::
-          {:ok, {non_neg_integer(), String.t() | nil, integer(), integer()}}
-          | {:error, Situ.Error.t()}
+          {:ok, look()} | {:error, Situ.Error.t()}
   def look(log, key) do
     before = now()
 
@@ -80,14 +81,12 @@ defmodule Situ.Cluster.Lease do
         owner = if entry, do: Map.get(entry.head, "Node", "")
         {:ok, {if(entry, do: entry.seq, else: 0), owner, before, now()}}
 
-      # Somebody else has written it, or an older version. It is free when its time is over, as that of a node which was
-      # lost; the next owner's number is larger, so nothing hangs on what it says.
-      {:error, %Error{code: code, meta: %{seq: seq}}}
-      when code in [:forged_entry, :unsealed_entry] ->
-        {:ok, {seq, "nobody of this cluster", before, now()}}
-
+      # An intruder has written it, or an older version. It expires like the lease of a lost node. The next owner's
+      # number is larger, so it does not matter what this entry says.
       {:error, error} ->
-        {:error, error}
+        if Seal.refusal?(error),
+          do: {:ok, {error.meta.seq, "nobody of this cluster", before, now()}},
+          else: {:error, error}
     end
   end
 
@@ -111,7 +110,7 @@ defmodule Situ.Cluster.Lease do
   Keeps it, in a process of its own: writes it every quarter of its time. When it is lost, or three quarters of it have
   passed without an answer of the log, `publisher` is killed at once, and this process ends with `:lease_lost`: a node
   that is cut off stops before its lease ends. Told `{:release, from}` it gives the lease back and says `:released`.
-  `tell` is called with each number that it has written, and with `:free`.
+  Calls `tell` with each number that it has written, and with `:free` when it gives the lease back.
   """
   @spec keep(
           Log.t(),

@@ -1,7 +1,7 @@
 defmodule Situ.Cluster.Member do
   @moduledoc false
   # The requests of a part's runner and of its pipeline's inlets to the cluster's agent on their node. None of them
-  # waits for the agent, so the agent may wait for any of them.
+  # waits for the agent, so the agent may wait for them.
   #
   #   {:situ_cluster, :follow, part, pid}            an inlet wants to know where a part is published
   #   {:situ_cluster, :publisher, part, publisher}   there, now and whenever that changes
@@ -21,18 +21,18 @@ defmodule Situ.Cluster.Member do
   @spec runs(GenServer.server(), part(), pid()) :: :ok
   def runs(agent, part, runner), do: GenServer.cast(agent, {:runs, part, runner})
 
-  @doc "The agent's table of members, read by all processes of the node."
+  @doc "Makes the agent's table of members, which all processes of the node read."
   @spec create_table() :: :ok
   def create_table do
     :ets.new(@table, [:named_table, :protected, read_concurrency: true])
     :ok
   end
 
-  @doc "The agent knows these members from now on, with their labels."
+  @doc "Replaces the members and their labels in the table."
   @spec put_all(%{node() => [String.t()]}) :: true
   def put_all(members), do: :ets.insert(@table, {:members, members})
 
-  @doc "The members with what rules of place ask of them."
+  @doc "Returns the members with the properties that rules of place look at."
   @spec all() :: Placement.members()
   def all do
     vitals = Vitals.all()
@@ -47,8 +47,8 @@ defmodule Situ.Cluster.Member do
   def rank(rule, part), do: Placement.rank(all(), rule, part, node())
 
   @doc """
-  Tells the runners of a part on all other nodes that this one has written its lease, or has given it back. A node that
-  takes in nothing at the moment is not waited for: it looks at the log.
+  Tells the runners of a part on all other nodes that this node has written its lease, or has given it back. Does not
+  wait for a node that cannot receive at the moment: that node looks at the log.
   """
   @spec tell_lease(part(), pos_integer() | :free) :: :ok
   def tell_lease(part, seq) do

@@ -1,21 +1,21 @@
 defmodule Situ.Cluster.NatsIdentity do
   @moduledoc """
-  The files by which a cluster's nodes and its NATS server know each other: TLS with a certificate on each side, and a
-  password. `Situ.Cluster.Identity.create/1` makes them.
+  The files by which a cluster's nodes and its NATS server recognize each other: TLS with a certificate on each side,
+  and a password. `Situ.Cluster.Identity.create/1` makes them.
 
-  Each side has an authority of its own, so the server's machine holds nothing that a node could be started with. The
-  server's files are in a folder that may be moved: it is started there by `nats-server -c nats-server.conf`.
+  Each side has its own authority, so nobody can start a node with the files on the server's machine. The server's files
+  are in a folder that may be moved: start the server in that folder by `nats-server -c nats-server.conf`.
   """
   alias Situ.Certificate
 
   @folder "nats-server"
   @user "situ"
 
-  @doc "The name of the server's folder, in that of the identity."
+  @doc "Returns the name of the server's folder, which is inside the identity's folder."
   @spec folder() :: String.t()
   def folder, do: @folder
 
-  @doc "Names and contents of the files of a node and of those of the server; they last for `days`."
+  @doc "Returns names and contents of a node's files and of the server's files; certificates last for `days`."
   @spec issue(pos_integer()) :: {[{String.t(), String.t()}], [{String.t(), String.t()}]}
   def issue(days) do
     server = Certificate.issue("the NATS server of a cluster of Situ", days: days)
@@ -38,8 +38,8 @@ defmodule Situ.Cluster.NatsIdentity do
 
   defp config(password) do
     """
-    # NATS for the log of a cluster of Situ. Move this folder to the machine of the server, for its owner's eyes only,
-    # and start it here: nats-server -c nats-server.conf
+    # NATS for the log of a cluster of Situ. Move this folder to the server's machine, keep it readable for its owner
+    # only, and start the server in it: nats-server -c nats-server.conf
     #
     # A program must show a certificate that clients.pem has signed, and know the password.
     listen: "0.0.0.0:4222"
@@ -55,13 +55,13 @@ defmodule Situ.Cluster.NatsIdentity do
     """
   end
 
-  @doc "The options of `Situ.Remote.Log.connect/2` that the files in `identity` give; `verify` checks the server."
+  @doc "Returns the options of `Situ.Remote.Log.connect/2` for the files in `identity`; `verify` checks the server."
   @spec log_options(Path.t(), {fun(), term()}) :: keyword()
   def log_options(identity, verify) do
     file = &Path.join(identity, &1)
 
     if File.exists?(file.("nats.pem")) do
-      # The server is known by its authority, which signs nothing else; its machine may have any name.
+      # The server's authority signs no other certificate, so its machine may have any name.
       tls = [
         cacertfile: file.("nats-ca.pem"),
         certfile: file.("nats.pem"),

@@ -26,7 +26,7 @@ defmodule Situ.Cluster.Past do
           subjects: [Log.subject()]
         }
 
-  # Anybody who reaches the log can write how long a lease is.
+  # Anybody who reaches the log can write a lease that claims to be very long.
   @longest_ms 60_000
 
   @doc "Lists each deployment that has something in the log, by name."

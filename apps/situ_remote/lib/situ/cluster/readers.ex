@@ -245,13 +245,13 @@ defmodule Situ.Cluster.Readers do
         messages -> %{reader | ahead: messages}
       end
     else
-      {:error, error} -> refused(%{reader | next: nil}, error)
+      {:error, error} -> log_refusal(%{reader | next: nil}, error)
       _ -> %{reader | next: nil}
     end
   end
 
-  # Nobody gets anything of what is not to be believed; the log may be put right meanwhile.
-  defp refused(reader, error) do
+  # The reader gets nothing from a refused entry, and keeps asking: somebody may repair the log.
+  defp log_refusal(reader, error) do
     if Seal.refusal?(error) and not reader.told,
       do: Logger.error("#{reader.part} waits for #{reader.name}: #{Exception.message(error)}")
 

@@ -45,7 +45,7 @@ defmodule Situ.Cluster.Runner do
   @doc """
   Gives the part away: a checkpoint, then the lease is free for the others. `away` is how far this node stands behind
   them from then on: 0 not at all; of two drained ones the later one waits longer. With a process `mover` it does so
-  only while that lives, and then stands where it stood.
+  only while that process lives; then the value from before holds again.
   """
   @spec release(pid(), non_neg_integer(), pid() | nil) :: :ok
   def release(runner, away, mover \\ nil),
@@ -56,7 +56,7 @@ defmodule Situ.Cluster.Runner do
   def stand(runner, away, mover \\ nil),
     do: GenServer.call(runner, {:stand, away, mover}, :infinity)
 
-  @doc "Ends a runner; nobody starts it again."
+  @doc "Ends a runner for good: its supervisor does not start it again."
   @spec dismiss(pid()) :: :ok
   def dismiss(runner), do: GenServer.cast(runner, :dismiss)
 
@@ -87,7 +87,7 @@ defmodule Situ.Cluster.Runner do
          {:ok, look} <- Lease.look(state.log, key(state, "lease")),
          {:take, standby} <- Standby.observe(standby, look, rank),
          {:ok, epoch} <- take(state, look) do
-      note_takeover(state, elem(look, 1))
+      log_takeover(state, elem(look, 1))
       {:noreply, own(%{state | standby: standby, epoch: epoch})}
     else
       {:wait, standby} -> {:noreply, %{state | standby: Standby.look_again(standby)}}
@@ -97,7 +97,7 @@ defmodule Situ.Cluster.Runner do
 
   def handle_info(:look, state), do: {:noreply, state}
 
-  # The owner lives.
+  # The owner is alive.
   def handle_info({:situ_lease, seq, owner}, %{phase: :standby} = state) when is_integer(seq),
     do: {:noreply, %{state | standby: Standby.hear(state.standby, seq, owner)}}
 
@@ -118,7 +118,7 @@ defmodule Situ.Cluster.Runner do
     end
   end
 
-  # The process that moved the part has gone, done or not.
+  # The process that moved the part has ended, whether it was done or not.
   def handle_info({:DOWN, ref, :process, _, _}, state),
     do: {:noreply, %{state | standby: Standby.give_back(state.standby, ref)}}
 
@@ -224,27 +224,27 @@ defmodule Situ.Cluster.Runner do
         run(state, Publisher.resume(publisher), failed)
 
       {:error, reason} ->
-        not_taken(state, reason)
+        handle_refusal(state, reason)
     end
   end
 
-  # An entry that is not to be believed stays so: to try again would change nothing.
-  defp not_taken(state, {:shutdown, %Error{} = error} = reason),
+  # The seal of a refused entry stays wrong, so another attempt would fail as well.
+  defp handle_refusal(state, {:shutdown, %Error{} = error} = reason),
     do: if(Seal.refusal?(error), do: failed(state, error), else: stand_by(state, reason))
 
-  defp not_taken(state, reason), do: stand_by(state, reason)
+  defp handle_refusal(state, reason), do: stand_by(state, reason)
 
   defp stand_by(state, reason) do
     Logger.warning("#{name(state)}: not taken over: #{explain(reason)}")
-    %{state | epoch: nil, standby: Standby.lost(state.standby)}
+    %{state | epoch: nil, standby: Standby.resume_after_loss(state.standby)}
   end
 
   defp take(state, look),
     do: Lease.take(state.log, key(state, "lease"), elem(look, 0), state.standby.ms)
 
-  defp note_takeover(state, owner) do
+  defp log_takeover(state, owner) do
     if owner not in [nil, "", Atom.to_string(node())],
-      do: Logger.warning("#{name(state)} goes on here: nothing is heard of #{owner} any more")
+      do: Logger.warning("#{name(state)} continues here: #{owner} is not heard of any more")
   end
 
   defp keep(state) do
@@ -349,7 +349,7 @@ defmodule Situ.Cluster.Runner do
 
   defp step_down(state, reason) do
     Logger.warning("#{name(state)} goes on elsewhere: #{explain(reason)}")
-    %{kill(state) | standby: Standby.lost(state.standby)}
+    %{kill(state) | standby: Standby.resume_after_loss(state.standby)}
   end
 
   defp kill(state) do
@@ -383,7 +383,7 @@ defmodule Situ.Cluster.Runner do
       state.standby.ms -> :ok
     end
 
-    %{kill(state) | standby: Standby.released(state.standby)}
+    %{kill(state) | standby: Standby.resume(state.standby)}
   end
 
   defp rule(state), do: state.plan.parts[state.part].rule

@@ -1,11 +1,11 @@
 defmodule Situ.Cluster.Runners do
   @moduledoc false
-  # Asks or ends several runners at once, on any nodes: one that does not answer holds up none of the others.
+  # Asks or ends several runners at once, on any nodes: one that does not answer does not delay the others.
   alias Situ.Cluster.Runner
 
   @dismiss_ms 5_000
 
-  @doc "The state of each within `timeout` ms; `%{}` of one that does not answer."
+  @doc "Returns the state of each runner; `%{}` for a runner that does not answer within `timeout` ms."
   @spec infos([pid()], timeout()) :: [map()]
   def infos(runners, timeout) do
     asked = for runner <- runners, do: :gen_server.send_request(runner, :info)
@@ -18,23 +18,23 @@ defmodule Situ.Cluster.Runners do
   defp answer({:reply, info}), do: info
   defp answer(_timeout_or_error), do: %{}
 
-  @doc "Ends runners of a deployment that was forgotten; one that does not end by itself is killed."
+  @doc "Ends the runners of a forgotten deployment, and kills those that do not end by themselves."
   @spec dismiss([pid()]) :: :ok
   def dismiss(runners) do
     monitors = for runner <- runners, into: %{}, do: {Process.monitor(runner), runner}
     for runner <- runners, do: Runner.dismiss(runner)
     timer = Process.send_after(self(), :dismissed, @dismiss_ms)
-    wait_for(monitors)
+    await_exits(monitors)
     _ = Process.cancel_timer(timer)
     :ok
   end
 
-  defp wait_for(monitors) when map_size(monitors) == 0, do: :ok
+  defp await_exits(monitors) when map_size(monitors) == 0, do: :ok
 
-  defp wait_for(monitors) do
+  defp await_exits(monitors) do
     receive do
       {:DOWN, ref, :process, _pid, _reason} ->
-        monitors |> Map.delete(ref) |> wait_for()
+        monitors |> Map.delete(ref) |> await_exits()
 
       :dismissed ->
         for {_, runner} <- monitors, do: Process.exit(runner, :kill)

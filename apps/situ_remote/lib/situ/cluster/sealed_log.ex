@@ -1,8 +1,8 @@
 defmodule Situ.Cluster.SealedLog do
   @moduledoc false
-  # A log as one run of a deployment sees it: every entry is sealed when it is written and checked when it is read
-  # (`Situ.Cluster.Seal`). All of the cluster's streams, leases, notes and checkpoints go through here. An entry that
-  # is not to be believed is an error (`:forged_entry`, `:unsealed_entry`), and never data.
+  # A log as one run of a deployment sees it: it seals every entry that is written, and checks every entry that is read
+  # (`Situ.Cluster.Seal`). All of the cluster's streams, leases, notes and checkpoints go through here. A refused entry
+  # is an error (`:forged_entry`, `:unsealed_entry`), and never data.
   @behaviour Situ.Remote.Log
 
   alias Situ.Cluster.Seal
@@ -15,7 +15,7 @@ defmodule Situ.Cluster.SealedLog do
 
   @type t :: %__MODULE__{log: Log.t(), run: String.t()}
 
-  @doc "The log for one run."
+  @doc "Wraps a log for one run."
   @spec new(Log.t(), String.t()) :: Log.t()
   def new(%Log{} = log, run),
     do: %Log{adapter: __MODULE__, conn: %__MODULE__{log: log, run: run}}
@@ -32,7 +32,7 @@ defmodule Situ.Cluster.SealedLog do
       {:refused, %Entry{} = last} ->
         with {:ok, last} <- check(conn, subject, last), do: {:refused, last}
 
-      # It is empty, but counts on.
+      # The stream is empty, but its numbers continue, and the seal includes the number.
       {:counts_from, seq} ->
         append(conn, subject, seq, entry)
 
@@ -61,34 +61,34 @@ defmodule Situ.Cluster.SealedLog do
 
   defp check(conn, subject, entry) do
     case Seal.open(entry, conn.run, subject) do
-      {:behind, follows, entry} -> placed(conn.log, subject, follows, entry)
+      {:behind, follows, entry} -> check_previous(conn.log, subject, follows, entry)
       answer -> answer
     end
   end
 
-  # Whoever writes a lease once more only delays a takeover: a lease holds no data, its number is the epoch, and numbers
-  # grow. Leases are read too often to look at two entries each time.
-  defp placed(_log, {:key, "lease." <> _}, _follows, entry), do: {:ok, entry}
+  # An intruder who writes a lease once more only delays a takeover: a lease contains no data, its number is the epoch,
+  # and numbers grow. Leases are read too often for a second read each time.
+  defp check_previous(_log, {:key, "lease." <> _}, _follows, entry), do: {:ok, entry}
 
-  # Logs keep the last two entries of a key: the one before must be the one that this entry was written behind.
-  defp placed(log, subject, follows, entry) do
+  # Logs keep the last two entries of a key, and an entry names the one before it.
+  defp check_previous(log, subject, follows, entry) do
     case log.adapter.first(log.conn, subject, max(follows, 1)) do
       {:ok, %Entry{seq: ^follows}} -> {:ok, entry}
       {:ok, %Entry{seq: seq}} when follows == 0 and seq == entry.seq -> {:ok, entry}
-      {:ok, _another} -> passed(log, subject, entry)
+      {:ok, _another} -> check_last(log, subject, entry)
       {:error, error} -> {:error, error}
     end
   end
 
-  # Two writes since it was read take away the one before: then it is not the last one any more.
-  defp passed(log, subject, entry) do
+  # Two later writes delete the previous entry; then this entry is not the last one any more.
+  defp check_last(log, subject, entry) do
     case Log.last(log, subject) do
       {:ok, %Entry{seq: seq}} when seq != entry.seq ->
         {:error,
          Error.new(:log_away, "the key #{elem(subject, 1)} is being written", fix: "read it again")}
 
       {:ok, _same} ->
-        {:error, Seal.moved(entry, subject)}
+        {:error, Seal.moved_error(entry, subject)}
 
       {:error, error} ->
         {:error, error}

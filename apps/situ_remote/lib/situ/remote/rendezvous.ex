@@ -9,7 +9,7 @@ defmodule Situ.Remote.Rendezvous do
     deadline: [
       type: :pos_integer,
       default: 10_000,
-      doc: "Ms within which a client says hello, and ends what it has begun to say."
+      doc: "Ms within which a client must greet, and complete a message that it has begun."
     ]
   ]
   @join [
@@ -60,8 +60,8 @@ defmodule Situ.Remote.Rendezvous do
   nobody, and one that lost its server comes back after 50 ms to 5 s. Of two processes with one name the others see the
   first; the second is told (`{:taken, name}`, `error/1`), and takes its place when that has gone. The protocol has no
   authentication: everybody who can connect can announce, so leave it on the loopback address or a network of its own.
-  A client that does not say hello, or does not end what it has begun to say, is disconnected after ten seconds; of more
-  than 1,000 clients the oldest one that has announced nothing goes.
+  The server disconnects a client that does not greet, or does not complete a message, within ten seconds. When there
+  are 1,000 clients, a new one takes the place of the oldest client that has announced nothing.
 
   Where a NATS server is there for the log, no other is needed: `join("nats://lab1:4222,lab2:4222", name: "robot", ...)`
   does the same over it, also over its clusters and leaf links (JetStream is not needed), with its accounts and TLS.

@@ -13,7 +13,7 @@ defmodule Situ.Remote.Server do
 
   @most_clients 1_000
   @most_per_address 250
-  # So many at once are told why they may not come in; any others lose the connection without a word.
+  # So many clients at once read why they are refused; the server closes the connections of all others.
   @most_told 50
   # Wrong tokens of one address within a minute.
   @most_wrong 20
@@ -129,14 +129,16 @@ defmodule Situ.Remote.Server do
 
   defp turn_away(%{told: told} = state) do
     if MapSet.size(told) < @most_told do
-      {:ok, session} = Session.start_link(Map.put(state.config, :refusal, too_many()))
+      {:ok, session} =
+        Session.start_link(Map.put(state.config, :refusal, too_many_clients_error()))
+
       {:reply, {:ok, session}, %{state | told: MapSet.put(told, session)}}
     else
       {:reply, :full, %{state | refused: state.refused + 1}}
     end
   end
 
-  defp too_many do
+  defp too_many_clients_error do
     Error.new(:too_many_clients, "the server of the link has no room for another client",
       why: "it takes #{@most_clients} in all, and #{@most_per_address} from one address",
       fix: "close links that nobody needs, or try again later"

@@ -3,18 +3,19 @@ defmodule Situ.Cluster.StandbyTest do
   alias Situ.Cluster.Standby
 
   defp now, do: System.monotonic_time(:millisecond)
-  # A lease of a minute: its times are judged by the timers, which nobody waits for.
+  # The lease lasts a minute. The tests read the timers and wait for none of them.
   defp standby, do: Standby.new(60_000_000_000)
+  defp lose_part(standby), do: Standby.resume_after_loss(standby)
   defp left(%{timer: timer}), do: Process.read_timer(timer)
 
   test "an owner that is heard of is not looked for in the log" do
     at = now()
     {:wait, standby} = Standby.observe(standby(), {7, "other@host", at, at}, 0)
-    # A tenth of the lease, as long as nothing else is known.
+    # It looks again after a tenth of the lease, as long as it has heard nothing.
     assert left(Standby.look_again(standby)) <= 6_000
     standby = Standby.hear(standby, 8, "other@host")
     assert left(standby) > 20_000
-    # When it was heard the lease began anew, so the count of the log's looks begins there.
+    # The lease began anew when the owner was heard, so the looks at the log count from there.
     at = now()
 
     assert {:wait, standby} =
@@ -32,16 +33,16 @@ defmodule Situ.Cluster.StandbyTest do
   end
 
   test "a node that loses the part again and again waits longer each time" do
-    standby = standby() |> Standby.lost() |> Standby.lost() |> Standby.lost()
+    standby = standby() |> lose_part() |> lose_part() |> lose_part()
     at = now()
     {:wait, standby} = Standby.observe(standby, {7, "", at, at}, 0)
     assert {:wait, _} = Standby.observe(standby, {7, "", at + 60_000, at + 60_000}, 0)
-    # But not when it is given the part.
+    # A node that is given the part does not wait.
     standby = Standby.lend(standby, 0, nil)
     assert {:take, _} = Standby.observe(standby, {7, "", at + 60_000, at + 60_000}, 0)
   end
 
-  test "a node that is lost is looked at once" do
+  test "the log is looked at as soon as the owner's node is lost" do
     at = now()
     {:wait, standby} = Standby.observe(standby(), {7, "other@host", at, at}, 0)
     standby = Standby.hear(standby, 8, "other@host")

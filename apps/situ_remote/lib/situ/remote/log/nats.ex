@@ -54,13 +54,13 @@ defmodule Situ.Remote.Log.Nats do
     credentials: [
       type: {:optional, :string},
       doc:
-        "A file whose first line is `user:password` or a token: unlike the address, it is in no list of processes."
+        "A file whose first line is `user:password` or a token: the list of processes does not show it."
     ],
     timeout: [type: :pos_integer, default: 2_000, doc: "Ms to wait for an answer."],
     wait: [
       type: :boolean,
       default: false,
-      doc: "No error while no server is there yet: it is waited for, as one that is lost is."
+      doc: "Wait for a server that is not running yet, instead of an error."
     ]
   ]
   @moduledoc @moduledoc <> Options.docs(@schema)
@@ -70,7 +70,7 @@ defmodule Situ.Remote.Log.Nats do
 
   @typedoc """
   `api` and `stream` begin the names of JetStream's subjects and of its streams; streams are made with `config`.
-  `prepared` is 1 when the server's streams were looked at.
+  `prepared` is 1 when the server's streams were prepared.
   """
   @type t :: %__MODULE__{
           connection: pid(),
@@ -107,16 +107,16 @@ defmodule Situ.Remote.Log.Nats do
            config: Layout.config(opts),
            prepared: :atomics.new(1, [])
          },
-         :ok <- log |> ready() |> or_later(opts[:wait]) do
+         :ok <- log |> prepare_once() |> allow_away(opts[:wait]) do
       {:ok, log}
     end
   end
 
-  defp or_later({:error, %Error{code: :log_away}}, true), do: :ok
-  defp or_later(answer, _wait?), do: answer
+  defp allow_away({:error, %Error{code: :log_away}}, true), do: :ok
+  defp allow_away(answer, _wait?), do: answer
 
-  # Whether this is a server that can be used is looked at once, as soon as it is there.
-  defp ready(%__MODULE__{prepared: prepared} = log) do
+  # The server's streams are prepared once, as soon as it answers.
+  defp prepare_once(%__MODULE__{prepared: prepared} = log) do
     if :atomics.get(prepared, 1) == 1 do
       :ok
     else
@@ -139,7 +139,7 @@ defmodule Situ.Remote.Log.Nats do
 
   @impl true
   def append(%__MODULE__{} = log, subject, expected, %Entry{} = entry) do
-    with :ok <- ready(log),
+    with :ok <- prepare_once(log),
          :ok <- fits(log, entry),
          {:ok, answer} <- publish(log, subject, expected, entry) do
       appended(answer, log, subject, expected, entry)
@@ -183,7 +183,7 @@ defmodule Situ.Remote.Log.Nats do
   defp appended(%{"error" => %{"err_code" => 10_071}}, log, subject, expected, %{op: op}) do
     case last(log, subject) do
       {:ok, %Entry{op: ^op, seq: seq}} -> {:ok, seq}
-      {:ok, nil} when expected == 0 -> aged(log, subject)
+      {:ok, nil} when expected == 0 -> find_last_number(log, subject)
       {:ok, last} -> {:refused, last}
       {:error, error} -> {:error, error}
     end
@@ -197,8 +197,8 @@ defmodule Situ.Remote.Log.Nats do
   defp appended(_answer, _log, _subject, _expected, _entry),
     do: {:error, Api.away("an answer that says nothing")}
 
-  # All its entries were too old to be kept: it is empty, but counts on.
-  defp aged(log, subject) do
+  # All its entries were too old to be kept: the stream is empty, but its numbers continue.
+  defp find_last_number(log, subject) do
     with {:ok, %{"state" => %{"last_seq" => seq}}} when seq > 0 <-
            Api.info(log, stream(log, subject)) do
       {:counts_from, seq}
@@ -235,7 +235,7 @@ defmodule Situ.Remote.Log.Nats do
   defp get(log, subject, question) do
     body = JSON.encode(question)
 
-    with :ok <- ready(log),
+    with :ok <- prepare_once(log),
          {:ok, answer} <-
            Api.ask(log, log.api <> "STREAM.MSG.GET." <> stream(log, subject), body),
          do: message(answer)

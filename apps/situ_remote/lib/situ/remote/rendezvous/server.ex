@@ -3,14 +3,14 @@ defmodule Situ.Remote.Rendezvous.Server do
   # Where processes find one another. All clients in one process: each has little to say. A client that has gone takes
   # its processes along; one that does not read is let go.
   #
-  # Nobody has to prove who it is, so nobody may keep others out: a client says hello within some seconds, and ends what
-  # it has begun to say as soon; when there is no room, the oldest client that has announced nothing goes.
+  # No client has to prove who it is, so none may keep others out. A client must greet within some seconds, and complete
+  # each message as quickly. When there is no room, the oldest client that has announced nothing is disconnected.
   use GenServer
   alias Situ.Error
   alias Situ.Remote.Rendezvous.{Directory, Wire}
 
   @most_clients 1_000
-  # Of one update, and of all that are not whole yet.
+  # Of one update, and of all updates that are not complete yet.
   @most_bytes 1024 * 1024
   @most_pending 16 * 1024 * 1024
   @look_ms 1_000
@@ -67,8 +67,8 @@ defmodule Situ.Remote.Rendezvous.Server do
   def handle_call(:processes, _from, state),
     do: {:reply, Directory.processes(state.directory), state}
 
-  # Of a client: `stage` (:greeting or :open), what goes on with its next bytes, how many of the update it has sent,
-  # since when it owes the rest (`nil`: nothing), and when it came.
+  # Of a client: `stage` (:greeting or :open), `continue` (what reads its next bytes), `bytes` of the present update,
+  # `owes` (since when the rest is due; `nil`: nothing is due), and `came` (when it connected).
   @impl true
   def handle_info({:client, socket}, state) do
     state = make_room(state)

@@ -69,7 +69,7 @@ defmodule Situ.Remote.Rendezvous.Wire do
   defp varint(n) when n < 128, do: <<n>>
   defp varint(n), do: <<1::1, rem(n, 128)::7, varint(div(n, 128))::binary>>
 
-  @typedoc "An update of which more is to come: what it is given next goes on where it stopped."
+  @typedoc "Continues an update that is not complete, with the bytes that arrive next."
   @type continuation :: (binary() -> result())
   @type result :: {:ok, update(), binary()} | {:more, continuation()} | {:error, String.t()}
 
@@ -80,7 +80,7 @@ defmodule Situ.Remote.Rendezvous.Wire do
   end
 
   @doc """
-  As `decode/1` for an update that comes in pieces: nothing is read twice but the text or number that was cut.
+  As `decode/1`, for an update that arrives in pieces. Only a text or number that was cut is read twice.
 
       iex> alias Situ.Remote.Rendezvous.Wire
       iex> <<first::binary-3, rest::binary>> = IO.iodata_to_binary(Wire.encode({:remove, "robot"}))
@@ -107,7 +107,7 @@ defmodule Situ.Remote.Rendezvous.Wire do
 
   def feed(<<kind, _::binary>>), do: {:error, "no update begins with the byte #{kind}"}
 
-  # Each takes the bytes, and what goes on with the value and the rest.
+  # Each takes the bytes and `next`, which gets the value and the remaining bytes.
 
   defp feed_text(bytes, next), do: feed_one(bytes, &read_text/1, next)
   defp feed_int(bytes, next), do: feed_one(bytes, &read_int/1, next)

@@ -145,7 +145,7 @@ defmodule Situ.Remote.Server.Session do
          do: {:ok, %{state | stage: :login, client_nonce: nonce}}
   end
 
-  # There is no room: all that it said was read, so that it reads why.
+  # There is no room. The client gets the reason after its login, when it waits for an answer.
   defp frame({:login, _proof, _map}, %{stage: :login, config: %{refusal: error}}),
     do: {:error, error}
 

@@ -31,8 +31,8 @@ defmodule Situ.Remote.Log.Nats.Api do
   end
 
   @doc "Changes the settings of a JetStream stream."
-  @spec changed(Nats.t(), map()) :: :ok | {:error, Error.t()}
-  def changed(log, %{"name" => name} = config) do
+  @spec change_stream(Nats.t(), map()) :: :ok | {:error, Error.t()}
+  def change_stream(log, %{"name" => name} = config) do
     case ask(log, log.api <> "STREAM.UPDATE." <> name, JSON.encode(config), @api_ms) do
       {:ok, %{"config" => _}} -> :ok
       {:ok, %{"error" => error}} -> {:error, refusal(error)}

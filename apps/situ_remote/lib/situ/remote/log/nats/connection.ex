@@ -75,23 +75,23 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
   defp stop(error), do: {:stop, {:shutdown, error}}
 
-  # A server that is not there yet is waited for, as one that is lost is.
+  # It waits for a server that is not running yet, as it does for a lost one.
   defp wait(state, error) do
     Process.send_after(self(), :connect, @again_ms)
-    {:ok, tell_why(state, error)}
+    {:ok, warn_waiting(state, error)}
   end
 
-  # Said once for each reason, and once when it is over.
-  defp tell_why(%{told: told} = state, %Error{what: told}), do: state
+  # It logs each reason once, and the end of the wait once.
+  defp warn_waiting(%{told: told} = state, %Error{what: told}), do: state
 
-  defp tell_why(state, %Error{} = error) do
+  defp warn_waiting(state, %Error{} = error) do
     Logger.warning("waiting for NATS: #{Exception.message(error)}")
     %{state | told: error.what}
   end
 
-  defp tell_over(%{told: nil} = state), do: state
+  defp log_connected(%{told: nil} = state), do: state
 
-  defp tell_over(state) do
+  defp log_connected(state) do
     Logger.warning("the NATS server at #{server(state)} is there")
     %{state | told: nil}
   end
@@ -159,12 +159,14 @@ defmodule Situ.Remote.Log.Nats.Connection do
   def handle_info(:connect, %{socket: nil} = state) do
     case connect(state) do
       {:ok, state} ->
-        {:noreply, tell_over(state)}
+        {:noreply, log_connected(state)}
 
       {:error, error} ->
         Process.send_after(self(), :connect, @again_ms)
         state = next_server(state)
-        {:noreply, if(hd(state.servers) == state.first, do: tell_why(state, error), else: state)}
+
+        {:noreply,
+         if(hd(state.servers) == state.first, do: warn_waiting(state, error), else: state)}
     end
   end
 

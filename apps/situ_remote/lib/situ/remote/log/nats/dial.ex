@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Log.Nats.Dial do
   @moduledoc false
-  # Connects to one NATS server: its greeting, TLS, login, and the subjects to hear of.
+  # Connects to one NATS server: greeting, TLS, login and subscriptions.
   alias Situ.{Error, JSON}
   alias Situ.Remote.Log.Nats.Wire
 
@@ -32,15 +32,24 @@ defmodule Situ.Remote.Log.Nats.Dial do
 
     with {:ok, socket} <-
            reached(:gen_tcp.connect(to_charlist(host), port, options, @first_ms), state),
-         {:ok, info, rest} <- greeting(socket, "", state),
-         :ok <- usable(info, state),
-         {:ok, transport, socket} <- secure(socket, info, state),
+         {:ok, info, rest} <- socket |> greeting("", state) |> or_close(:gen_tcp, socket),
+         :ok <- info |> usable(state) |> or_close(:gen_tcp, socket),
+         {:ok, transport, socket} <- socket |> secure(info, state) |> or_close(:gen_tcp, socket),
          inbox = "_INBOX." <> Base.encode16(:crypto.strong_rand_bytes(10)),
-         :ok <- hello(transport, socket, inbox, state),
-         {:ok, rest} <- welcomed(%{state | transport: transport, socket: socket}, rest) do
+         :ok <- transport |> hello(socket, inbox, state) |> or_close(transport, socket),
+         state = %{state | transport: transport, socket: socket},
+         {:ok, rest} <- state |> welcomed(rest) |> or_close(transport, socket) do
       {:ok, %{transport: transport, socket: socket, inbox: inbox, info: info, rest: rest}}
     end
   end
+
+  # The caller tries again and again, so no failed attempt may leave its socket open.
+  defp or_close({:error, _} = error, transport, socket) do
+    _ = transport.close(socket)
+    error
+  end
+
+  defp or_close(answer, _transport, _socket), do: answer
 
   @doc "A server, for people."
   @spec name(server()) :: String.t()
@@ -65,8 +74,6 @@ defmodule Situ.Remote.Log.Nats.Dial do
         greeting(socket, read, state)
 
       _ ->
-        :gen_tcp.close(socket)
-
         {:error,
          Error.new(:log_away, "#{name(state.server)} does not speak the protocol of NATS")}
     end
@@ -106,19 +113,17 @@ defmodule Situ.Remote.Log.Nats.Dial do
 
     cond do
       tls != nil and not (info["tls_required"] == true or info["tls_available"] == true) ->
-        :gen_tcp.close(socket)
-
         {:error,
          Error.new(:no_tls, "the NATS server at #{name(state.server)} does not speak TLS",
            why:
-             "certificates are given for it, and without TLS everybody on the way reads the log",
+             "certificates are given for it, and without TLS others on the network could read the log",
            fix:
              "start it with the configuration of `situ cluster init` (nats-server -c nats-server.conf), or leave out" <>
                " tls: (--log-plain)"
          )}
 
       tls != nil ->
-        # Nodes that talk by TLS have some of its processes, and the application does not run yet.
+        # A node whose distribution uses TLS has loaded parts of ssl, but has not started the application.
         {:ok, _} = Application.ensure_all_started(:ssl)
         {host, _port} = state.server
 
@@ -155,7 +160,7 @@ defmodule Situ.Remote.Log.Nats.Dial do
   end
 
   defp hello(transport, socket, inbox, state) do
-    # A function, so that no state of a process shows it.
+    # The login is a function, so that no process state shows it.
     login = if state.opts[:login], do: state.opts[:login].(), else: %{}
 
     options =
@@ -181,8 +186,6 @@ defmodule Situ.Remote.Log.Nats.Dial do
         {:ok, rest}
 
       {:ok, {:failure, text}, _rest} ->
-        state.transport.close(state.socket)
-
         {:error,
          Error.new(:refused_login, "#{name(state.server)} refuses the connection: #{text}",
            fix: "check user and password, or the token"

@@ -21,7 +21,7 @@ defmodule Situ.Remote.Log.Nats.Layout do
   @doc "Makes the stream of the keys, or brings it up to date; a log of an older layout is refused."
   @spec prepare(Nats.t()) :: :ok | {:error, Error.t()}
   def prepare(log) do
-    # Retention is for streams: of each key the last two entries are kept.
+    # The limits of retention are for streams. Of each key the server keeps the last two entries.
     keys =
       Map.merge(Map.take(log.config, ~w(storage num_replicas allow_direct)), %{
         "name" => log.stream <> "_KEYS",
@@ -33,9 +33,9 @@ defmodule Situ.Remote.Log.Nats.Layout do
          {:error, %Error{code: :no_stream}} <- Api.info(log, keys["name"]) do
       Api.made(log, keys)
     else
-      # One of an older version kept one entry of each.
+      # An older version kept one entry of each key.
       {:ok, %{"config" => %{"max_msgs_per_subject" => 1} = config}} ->
-        Api.changed(log, %{config | "max_msgs_per_subject" => 2})
+        Api.change_stream(log, %{config | "max_msgs_per_subject" => 2})
 
       {:ok, _info} ->
         :ok

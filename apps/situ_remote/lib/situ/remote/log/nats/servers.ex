@@ -10,7 +10,7 @@ defmodule Situ.Remote.Log.Nats.Servers do
     {login, hosts} =
       case String.split(rest, "@", parts: 2) do
         [hosts] -> {%{}, hosts}
-        [login, hosts] -> {unescaped(String.split(login, ":", parts: 2)), hosts}
+        [login, hosts] -> {split_login(login, &URI.decode/1), hosts}
       end
 
     servers = hosts |> String.split(",", trim: true) |> Enum.map(&server/1)
@@ -24,13 +24,13 @@ defmodule Situ.Remote.Log.Nats.Servers do
       else: {:ok, servers, login}
   end
 
-  @doc "The login of an address, or of the first line of a file."
+  @doc "Returns the login of an address, or that in the first line of a file."
   @spec login(map(), Path.t() | nil) :: {:ok, map()} | {:error, Error.t()}
   def login(login, nil), do: {:ok, login}
 
   def login(login, _file) when login != %{} do
     {:error,
-     Error.new(:bad_option, "the address of the log and credentials: both say who logs in",
+     Error.new(:bad_option, "the address of the log and credentials: both contain a login",
        fix: "write nats://host:4222, and user and password into the file alone"
      )}
   end
@@ -38,15 +38,19 @@ defmodule Situ.Remote.Log.Nats.Servers do
   def login(_none, file) do
     with {:ok, text} <- File.read(file),
          line when line != "" <- text |> String.split("\n") |> hd() |> String.trim() do
-      {:ok, line |> String.split(":", parts: 2) |> named()}
+      {:ok, split_login(line, & &1)}
     else
       {:error, reason} -> {:error, no_credentials(file, to_string(:file.format_error(reason)))}
       "" -> {:error, no_credentials(file, "its first line is empty")}
     end
   end
 
-  defp named([user, password]), do: %{"user" => user, "pass" => password}
-  defp named([token]), do: %{"auth_token" => token}
+  defp split_login(text, decode) do
+    case text |> String.split(":", parts: 2) |> Enum.map(decode) do
+      [user, password] -> %{"user" => user, "pass" => password}
+      [token] -> %{"auth_token" => token}
+    end
+  end
 
   defp no_credentials(file, why) do
     Error.new(:no_credentials, "there are no credentials in #{file}",
@@ -54,11 +58,6 @@ defmodule Situ.Remote.Log.Nats.Servers do
       fix: "its first line is user:password, or a token"
     )
   end
-
-  defp unescaped([user, password]),
-    do: %{"user" => URI.decode(user), "pass" => URI.decode(password)}
-
-  defp unescaped([token]), do: %{"auth_token" => URI.decode(token)}
 
   defp server(text) do
     case String.split(text, ":") do

@@ -1,0 +1,42 @@
+defmodule Situ.Cluster.Backoff do
+  @moduledoc false
+  # How long a node waits before it takes a part again that it has lost lately. An overloaded node loses leases, and
+  # each takeover adds to its load, so without a growing wait such nodes would never come to rest. Pure.
+
+  # In leases.
+  @most 16
+  @forgotten 60
+
+  defstruct count: 0, at: nil, share: 1.0
+
+  @typedoc "`count` losses, the last one `at` (ms); `share` spreads the nodes that lost a part at the same time."
+  @type t :: %__MODULE__{count: non_neg_integer(), at: integer() | nil, share: float()}
+
+  @doc "Counts a loss at `now` (ms); a lease lasts `lease` ms."
+  @spec add_loss(t(), integer(), pos_integer()) :: t()
+  def add_loss(%__MODULE__{} = backoff, now, lease) do
+    count = if forgotten?(backoff, now, lease), do: 0, else: backoff.count
+    %{backoff | count: count + 1, at: now, share: 0.5 + :rand.uniform() / 2}
+  end
+
+  @doc """
+  Returns the ms to wait beyond the lease: none after the first loss, then twice as long each time, up to #{@most}
+  leases.
+
+      iex> alias Situ.Cluster.Backoff
+      iex> backoff = Enum.reduce(1..3, %Backoff{}, &Backoff.add_loss(&2, &1 * 1_000, 1_000))
+      iex> Backoff.wait_ms(backoff, 3_000, 1_000) in 2_000..4_000
+      true
+      iex> Backoff.wait_ms(backoff, 90_000, 1_000)
+      0
+  """
+  @spec wait_ms(t(), integer(), pos_integer()) :: non_neg_integer()
+  def wait_ms(%__MODULE__{count: count} = backoff, now, lease) do
+    if count < 2 or forgotten?(backoff, now, lease),
+      do: 0,
+      else: round(min(Integer.pow(2, min(count, 10) - 1), @most) * lease * backoff.share)
+  end
+
+  defp forgotten?(%{at: nil}, _now, _lease), do: true
+  defp forgotten?(%{at: at}, now, lease), do: now - at > @forgotten * lease
+end

@@ -1,0 +1,4 @@
+defmodule Situ.Cluster.BackoffTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Cluster.Backoff
+end
