@@ -201,7 +201,7 @@ defmodule Situ.Bridge.Columnar do
     times ++ if(columns == [], do: [], else: Enum.zip_with(rows, & &1))
   end
 
-  @doc "The columns of a file, and those that are left out. Errors: those of the format."
+  @doc "Returns the columns of a file, and those that are left out. Errors: those of the format."
   @spec columns(module(), Path.t()) ::
           {:ok, %{columns: [String.t()], left_out: [{String.t(), String.t()}]}}
           | {:error, Error.t()}
@@ -213,11 +213,11 @@ defmodule Situ.Bridge.Columnar do
 
   @doc """
   Returns the rows as a lazy enumerable of `{time, value}`, read some at a time. Raises `Situ.Error`. Options besides
-  `time:` and `columns:`: `notice:`, a function of a sentence for each kind of thing that is left out.
+  `time:` and `columns:`: `notice:`, a function that gets a sentence for each kind of thing that is left out.
   """
   @spec messages(module(), Path.t(), keyword()) :: Enumerable.t()
   def messages(reader, path, opts) do
-    table = Error.unwrap!(reader.open(path))
+    table = reader.open(path) |> Error.unwrap!()
     time = time(table, opts[:time])
     wanted = wanted(table, opts[:columns], time)
     notice = opts[:notice] || fn sentence -> Logger.warning(sentence) end
@@ -229,25 +229,22 @@ defmodule Situ.Bridge.Columnar do
     |> Stream.flat_map(&reader.stream_rows(table, &1, [time | wanted]))
     |> Stream.transform(
       fn -> {nil, 0} end,
-      fn
-        [time | values], {last, left_out}
-        when is_integer(time) and (last == nil or time > last) ->
-          {[{time, value(wanted, values)}], {time, left_out}}
-
-        _row, {last, left_out} ->
-          {[], {last, left_out + 1}}
-      end,
-      fn {_last, left_out} = acc ->
-        if left_out > 0,
-          do:
-            notice.(
-              "#{path}: #{left_out} rows are left out: without a time, or not later than the row before"
-            )
-
-        {[], acc}
-      end,
-      fn _acc -> :ok end
+      &take_row(&1, &2, wanted),
+      &report_rows(&1, path, notice),
+      fn _state -> :ok end
     )
+  end
+
+  defp take_row([time | values], {last, left_out}, wanted)
+       when is_integer(time) and (last == nil or time > last),
+       do: {[{time, value(wanted, values)}], {time, left_out}}
+
+  defp take_row(_row, {last, left_out}, _wanted), do: {[], {last, left_out + 1}}
+
+  defp report_rows({_last, left_out} = state, path, notice) do
+    why = "they have no time, or one that is not later than that of the row before"
+    if left_out > 0, do: notice.("#{path}: #{left_out} rows are left out: #{why}")
+    {[], state}
   end
 
   defp list_left_out(table),
@@ -288,7 +285,7 @@ defmodule Situ.Bridge.Columnar do
     end
   end
 
-  # All but the times, of which there is something to read at least.
+  # All columns but the times; a file without any other that can be read is an error.
   defp wanted(table, nil, time) do
     wanted =
       Enum.reject(table.columns, &(&1.name in [time.name, "originating_time", "creation_time"]))

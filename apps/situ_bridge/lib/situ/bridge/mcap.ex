@@ -53,7 +53,7 @@ defmodule Situ.Bridge.Mcap do
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, ref} <- Failure.wrap(Native.mcap_open(path), path) do
-      # An index that points at nothing is worse than none.
+      # Without an index the file can still be read, with a wrong one it cannot.
       with {:error, %{code: :damaged} = error} <- open(path, ref, opts),
            {:ok, ref} <-
              Failure.wrap(Native.mcap_open_without_index(path, "(#{error.why})"), path),
@@ -89,7 +89,7 @@ defmodule Situ.Bridge.Mcap do
     end
   end
 
-  # A stream is a topic: several channels of one topic (a recorder that was restarted) get a number behind the name.
+  # A stream is a topic: several channels of one topic (a recorder that was restarted) get a number after the name.
   defp channels(state, channels, schemas) do
     Enum.reduce_while(channels, {:ok, []}, fn {id, topic, encoding, schema, metadata, _count},
                                               {:ok, known} ->
@@ -120,8 +120,6 @@ defmodule Situ.Bridge.Mcap do
   end
 
   defp extra(channel, :apart) do
-    channel = %{channel | metadata: {channel.metadata, channel.schema}}
-
     if Codec.lossy?(channel.codec, channel.type) do
       id = Extra.number(channel.id)
       more = %{channel | id: id, codec: Codec.extra(channel.codec), type: :map, note: nil}
@@ -157,6 +155,7 @@ defmodule Situ.Bridge.Mcap do
 
   defp stream(state, channel) do
     {first, last, count} = channel.span || {nil, nil, 0}
+    schema = if state.messages == :apart, do: channel.schema
 
     %StreamInfo{
       id: channel.id,
@@ -172,18 +171,9 @@ defmodule Situ.Bridge.Mcap do
       last: last,
       first_creation: first,
       last_creation: last,
-      supplemental: supplemental(channel.metadata)
+      supplemental: Extra.metadata(channel.metadata, schema)
     }
   end
-
-  defp supplemental({pairs, {name, language, definition}}) do
-    schema = %{"name" => name, "encoding" => language, "definition" => definition}
-    {"map", :erlang.term_to_binary(Map.put(Map.new(pairs), "schema", schema))}
-  end
-
-  defp supplemental({pairs, nil}), do: supplemental(pairs)
-  defp supplemental([]), do: nil
-  defp supplemental(pairs), do: {"map", :erlang.term_to_binary(Map.new(pairs))}
 
   @impl true
   def info(state) do
@@ -251,8 +241,7 @@ defmodule Situ.Bridge.Mcap do
   end
 
   @impl true
-  def import_options(times),
-    do: [messages: :apart, times: if(times == :header, do: :header, else: :log)]
+  defdelegate import_options(times), to: Codec
 
   @doc false
   # For `Situ.Bridge.Recorder.Export`: everything that is in a message.

@@ -277,6 +277,7 @@ defmodule Situ.Bridge.ParquetTest do
     assert error.code == :not_parquet
   end
 
+  @tag :capture_log
   test "mutations of theirs are rows or errors, in bounded memory", %{tmp_dir: dir} do
     path = Path.join(dir, "theirs.parquet")
     seed = Budget.seed()
@@ -393,6 +394,7 @@ defmodule Situ.Bridge.ParquetTest do
     assert Packed.undo(1, "", 0) == ""
   end
 
+  @tag :capture_log
   test "mutations of a file are rows or errors, and make no atoms", %{tmp_dir: dir} do
     rows = for i <- 1..50, do: {i, %{n: i, t: "text #{rem(i, 5)}", f: i / 3, b: rem(i, 2) == 0}}
     {:ok, _} = dir |> recorded([{"Rows", rows}]) |> Parquet.export(dir, rows: 20)

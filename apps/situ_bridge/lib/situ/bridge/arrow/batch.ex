@@ -3,6 +3,7 @@ defmodule Situ.Bridge.Arrow.Batch do
   # A batch of an Arrow file: its columns, for `Situ.Bridge.Arrow.Values` to read rows of. Throws `{:not_arrow, why}`,
   # and whatever `read` throws.
   alias Situ.Bridge.Arrow.{Buffer, FlatBuffer, Schema, Values}
+  alias Situ.Bridge.Columnar.Input
 
   @most_metadata 67_108_864
   @small 65_536
@@ -12,13 +13,11 @@ defmodule Situ.Bridge.Arrow.Batch do
   @typedoc "Where a message is in the file, and the size of its metadata and of its body."
   @type block ::
           {at :: non_neg_integer(), metadata :: non_neg_integer(), body :: non_neg_integer()}
-  @typedoc "Reads so many bytes at a place of the file."
-  @type read :: (at :: non_neg_integer(), n :: non_neg_integer() -> binary())
   @type t :: %__MODULE__{}
   @type dictionaries :: %{integer() => tuple()}
 
-  @doc "The metadata of a message of this kind, and the place of its header in them."
-  @spec metadata(block(), kind :: 1..3, read()) :: {binary(), non_neg_integer()}
+  @doc "Reads the metadata of a message of this kind, and returns them with the place of its header."
+  @spec metadata(block(), kind :: 1..3, Input.read()) :: {binary(), non_neg_integer()}
   def metadata({at, n, _body}, kind, read) when n in 8..@most_metadata and at >= 0 do
     # Old files have no ones before the length.
     bytes =
@@ -37,15 +36,15 @@ defmodule Situ.Bridge.Arrow.Batch do
 
   def metadata(_block, _kind, _read), do: fail("a batch that is not there")
 
-  @doc "The batch of a message, whose metadata have it at `batch`."
-  @spec start(block(), {binary(), non_neg_integer()}, read()) :: t()
+  @doc "Starts to read the batch of a message, whose metadata have it at `batch`."
+  @spec start(block(), {binary(), non_neg_integer()}, Input.read()) :: t()
   def start({at, metadata, size}, {bytes, batch}, read) do
     buffers =
       for <<at::little-signed-64, length::little-signed-64>> <-
             FlatBuffer.structs(bytes, batch, 2, 16),
           do: {at, length}
 
-    # Buffers that lie over one another would make much of a small file.
+    # Buffers that overlap could make very many values of a small file.
     if buffers |> Enum.map(&elem(&1, 1)) |> Enum.sum() > size,
       do: fail("a batch whose buffers are larger than itself")
 
@@ -63,7 +62,7 @@ defmodule Situ.Bridge.Arrow.Batch do
     }
   end
 
-  # A small body is read at once: reading is a switch to another thread.
+  # A small body is read at once, since each read switches to another thread.
   defp read_body(at, size, read) when size in 0..@small do
     body = read.(at, size)
     &binary_part(body, &1, &2)
@@ -72,11 +71,11 @@ defmodule Situ.Bridge.Arrow.Batch do
   defp read_body(at, _size, read), do: &read.(at + &1, &2)
 
   @doc """
-  A column of the table, which has as many rows as the batch; columns within it have as many as its lists hold.
+  Finds a column of the table, which has as many rows as the batch. Columns within it have as many as its lists hold.
   """
   @spec column(t(), Schema.column(), dictionaries()) :: Values.column()
   def column(batch, column, dictionaries) do
-    found = within(batch, column, dictionaries)
+    found = find_column(batch, column, dictionaries)
 
     if found.rows != batch.rows,
       do: fail("the column #{inspect(column.name)} has another number of rows than its batch")
@@ -84,7 +83,7 @@ defmodule Situ.Bridge.Arrow.Batch do
     found
   end
 
-  defp within(batch, column, dictionaries) do
+  defp find_column(batch, column, dictionaries) do
     type = if column.dictionary, do: column.index, else: column.type
 
     case node(batch.nodes, column.node) do
@@ -97,7 +96,7 @@ defmodule Situ.Bridge.Arrow.Batch do
           # Where nothing is missing, the presence means nothing.
           presence: if(missing != 0 and presence != nil and elem(presence, 0) > 0, do: presence),
           buffers: buffers,
-          children: for(c <- column.children, do: {c.name, within(batch, c, dictionaries)}),
+          children: for(c <- column.children, do: {c.name, find_column(batch, c, dictionaries)}),
           entries: column.dictionary && Map.get(dictionaries, column.dictionary, {})
         }
 
@@ -114,7 +113,7 @@ defmodule Situ.Bridge.Arrow.Batch do
   defp split_presence([], _type), do: fail("a column without its buffers")
 
   defp buffers(batch, column, type) do
-    # Buffers of texts before this column move its own.
+    # The string views before this column have further buffers, which move its own.
     from = column.buffer + (batch.views |> Enum.take(column.view) |> Enum.sum())
     count = count(type, Enum.at(batch.views, column.view) || 0)
 

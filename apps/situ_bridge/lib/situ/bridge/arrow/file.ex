@@ -1,11 +1,12 @@
 defmodule Situ.Bridge.Arrow.File do
   @moduledoc false
-  # An Arrow file as it is read: its columns, and the rows of its batches, some at a time. Also the streaming form,
-  # which has no footer: then the messages are gone through once.
+  # Reads an Arrow file: its columns, and the rows of its batches, some at a time. The streaming form has no footer:
+  # opening it goes through its messages once.
   @behaviour Situ.Bridge.Columnar.Reader
   alias Situ.Bridge.Arrow.{Batch, FlatBuffer, Schema, Values}
-  alias Situ.Error
+  alias Situ.Bridge.Columnar.Input
 
+  @format {:not_arrow, "Arrow"}
   @most_metadata 67_108_864
   @most_body 4_294_967_296
   @slice 1_024
@@ -27,38 +28,7 @@ defmodule Situ.Bridge.Arrow.File do
 
   # Errors: `:io`, `:not_arrow`.
   @impl true
-  def open(path) do
-    catch_errors(path, fn ->
-      {file, read} = open_file(path)
-
-      try do
-        {:ok, table(path, read)}
-      after
-        :file.close(file)
-      end
-    end)
-  end
-
-  defp open_file(path) do
-    with {:ok, file} <- :file.open(path, [:read, :raw, :binary]),
-         {:ok, size} <- :file.position(file, :eof) do
-      {file, {size, &read(file, size, &1, &2)}}
-    else
-      {:error, reason} -> throw({:io, reason})
-    end
-  end
-
-  defp read(_file, _size, _at, 0), do: ""
-
-  defp read(file, size, at, n) do
-    if at < 0 or at + n > size, do: fail("it is cut short")
-
-    case :file.pread(file, at, n) do
-      {:ok, bytes} when byte_size(bytes) == n -> bytes
-      {:error, reason} -> throw({:io, reason})
-      _ -> fail("it is cut short")
-    end
-  end
+  def open(path), do: Input.read(path, @format, &table(path, &1))
 
   defp table(path, {size, read}) do
     {{bytes, at, version}, messages} =
@@ -68,26 +38,15 @@ defmodule Situ.Bridge.Arrow.File do
         _ -> fail("it begins neither as a file nor as a stream of Arrow")
       end
 
-    {columns, left_out, types} = Schema.decode(bytes, at, version)
+    {columns, left_out, dictionaries} = Schema.decode(bytes, at, version)
 
     %__MODULE__{
       path: path,
       columns: columns,
       left_out: left_out,
       times: for(%{time?: true, name: name} <- columns, do: name),
-      groups: groups(messages, types, read)
+      groups: groups(messages, dictionaries, read)
     }
-  end
-
-  defp catch_errors(path, fun) do
-    fun.()
-  catch
-    {:not_arrow, why} ->
-      {:error, Error.new(:not_arrow, "#{path} cannot be read as Arrow", why: why)}
-
-    {:io, reason} ->
-      why = to_string(:file.format_error(reason))
-      {:error, Error.new(:io, "cannot read #{path}", why: why)}
   end
 
   defp footer(size, read) do
@@ -102,9 +61,9 @@ defmodule Situ.Bridge.Arrow.File do
     bytes = read.(size - 10 - n, n)
     root = FlatBuffer.root(bytes)
     schema = FlatBuffer.object(bytes, root, 1) || fail("it has no schema")
-    of = fn kind, slot -> for block <- blocks(bytes, root, slot), do: {kind, block} end
+    list_blocks = fn kind, slot -> for block <- blocks(bytes, root, slot), do: {kind, block} end
     version = FlatBuffer.number(bytes, root, 0, :i16, 0)
-    {{bytes, schema, version}, of.(@dictionary, 2) ++ of.(@batch, 3)}
+    {{bytes, schema, version}, list_blocks.(@dictionary, 2) ++ list_blocks.(@batch, 3)}
   end
 
   defp blocks(bytes, root, slot) do
@@ -114,7 +73,7 @@ defmodule Situ.Bridge.Arrow.File do
     end
   end
 
-  # Until its end mark, or until it is cut short.
+  # A stream ends with its mark, or where it is cut short.
   defp messages(size, read) do
     found = message({size, read}, 0, [])
 
@@ -136,10 +95,10 @@ defmodule Situ.Bridge.Arrow.File do
         kind = FlatBuffer.number(bytes, root, 1, :u8, 0)
         body = FlatBuffer.number(bytes, root, 3, :i64, 0)
         header = FlatBuffer.object(bytes, root, 2) || fail("a message without a header")
-        behind = at + 8 + n + body
+        next = at + 8 + n + body
 
-        if body in 0..@most_body and behind <= size,
-          do: message(file, behind, [{kind, bytes, header, {at, n + 8, body}} | found]),
+        if body in 0..@most_body and next <= size,
+          do: message(file, next, [{kind, bytes, header, {at, n + 8, body}} | found]),
           else: Enum.reverse(found)
 
       _ ->
@@ -150,10 +109,10 @@ defmodule Situ.Bridge.Arrow.File do
   defp message(_file, _at, found), do: Enum.reverse(found)
 
   # A stream may send a dictionary again, for the batches that follow.
-  defp groups(messages, types, read) do
+  defp groups(messages, dictionaries, read) do
     {groups, _known} =
       Enum.flat_map_reduce(messages, %{}, fn
-        {@dictionary, block}, known -> {[], put_dictionary(known, block, types, read)}
+        {@dictionary, block}, known -> {[], put_dictionary(known, block, dictionaries, read)}
         {@batch, block}, known -> {[{block, known}], known}
         {_other, _block}, known -> {[], known}
       end)
@@ -162,25 +121,13 @@ defmodule Situ.Bridge.Arrow.File do
   end
 
   # The entries of a dictionary; a delta adds to those that are known.
-  defp put_dictionary(known, block, types, read) do
+  defp put_dictionary(known, block, dictionaries, read) do
     {bytes, root} = Batch.metadata(block, @dictionary, read)
     id = FlatBuffer.number(bytes, root, 0, :i64, 0)
     at = FlatBuffer.object(bytes, root, 1) || fail("a dictionary without entries")
 
-    case types do
-      %{^id => type} ->
-        column = %{
-          name: "dictionary #{id}",
-          type: type,
-          time?: false,
-          node: 0,
-          buffer: 0,
-          view: 0,
-          dictionary: nil,
-          index: nil,
-          children: []
-        }
-
+    case dictionaries do
+      %{^id => column} ->
         entries = block |> Batch.start({bytes, at}, read) |> Batch.column(column, %{})
         entries = Values.read(entries, 0, entries.rows)
         delta? = FlatBuffer.number(bytes, root, 2, :u8, 0) == 1
@@ -193,32 +140,16 @@ defmodule Situ.Bridge.Arrow.File do
   end
 
   @impl true
-  def stream_rows(table, group, columns) do
-    Stream.resource(
-      fn -> raise_errors(table.path, fn -> start(table.path, group, columns) end) end,
-      fn state -> raise_errors(table.path, fn -> next_rows(state) end) end,
-      fn %{file: file} -> :file.close(file) end
-    )
+  def stream_rows(table, group, columns),
+    do: Input.stream(table.path, @format, &start(group, columns, &1), &next_rows/1)
+
+  defp start({block, dictionaries}, columns, {_size, read}) do
+    batch = Batch.start(block, Batch.metadata(block, @batch, read), read)
+    columns = Enum.map(columns, &Batch.column(batch, &1, dictionaries))
+    %{columns: columns, rows: batch.rows, from: 0}
   end
 
-  defp raise_errors(path, fun),
-    do: path |> catch_errors(fn -> {:ok, fun.()} end) |> Error.unwrap!()
-
-  defp start(path, {block, dictionaries}, columns) do
-    {file, {_size, read}} = open_file(path)
-
-    try do
-      batch = Batch.start(block, Batch.metadata(block, @batch, read), read)
-      columns = Enum.map(columns, &Batch.column(batch, &1, dictionaries))
-      %{file: file, columns: columns, rows: batch.rows, from: 0}
-    catch
-      why ->
-        :file.close(file)
-        throw(why)
-    end
-  end
-
-  defp next_rows(%{from: from, rows: rows} = state) when from >= rows, do: {:halt, state}
+  defp next_rows(%{from: from, rows: rows}) when from >= rows, do: :done
 
   defp next_rows(%{from: from, rows: rows} = state) do
     n = min(@slice, rows - from)

@@ -78,11 +78,11 @@ defmodule Situ.Bridge.Arrow.Schema do
   defp type(:text), do: {20, []}
 
   @doc """
-  The columns that can be read, the names and types of the others, and the types of dictionaries by their numbers. Of
-  several columns of one name, the later ones are numbered.
+  Returns the columns that can be read, the names and types of the others, and by the number of each dictionary the
+  column of its entries. Of several columns of one name, the later ones are numbered.
   """
   @spec decode(binary(), non_neg_integer(), version :: integer()) ::
-          {[column()], [{name :: String.t(), type :: String.t()}], %{integer() => term()}}
+          {[column()], [{name :: String.t(), type :: String.t()}], %{integer() => column()}}
   def decode(bytes, schema, version) do
     if FlatBuffer.number(bytes, schema, 0, :i16, 0) != 0,
       do: throw({:not_arrow, "its numbers have their highest byte first"})
@@ -90,7 +90,7 @@ defmodule Situ.Bridge.Arrow.Schema do
     fields = FlatBuffer.tables(bytes, schema, 1)
     {found, _places} = Enum.map_reduce(fields, {0, 0, 0}, &column(bytes, &1, &2, 0))
 
-    # They had one buffer more, so that the columns after them would be read at wrong places.
+    # Those unions had one buffer more, so that the columns after them would be read at wrong places.
     if version < @version_1_0 and Enum.any?(fields, &union?(bytes, &1)),
       do: throw({:not_arrow, "it has unions as they were before Arrow 1.0"})
 
@@ -106,7 +106,12 @@ defmodule Situ.Bridge.Arrow.Schema do
   end
 
   defp entries(%{dictionary: nil, children: children}), do: Enum.flat_map(children, &entries/1)
-  defp entries(column), do: [{column.dictionary, column.type}]
+
+  # A batch of entries has this column only.
+  defp entries(%{dictionary: id} = column) do
+    first = %{node: 0, buffer: 0, view: 0, dictionary: nil, index: nil, time?: false}
+    [{id, Map.merge(column, Map.put(first, :name, "dictionary #{id}"))}]
+  end
 
   defp column(_bytes, _field, _place, depth) when depth > @deepest,
     do: throw({:not_arrow, "its fields are too deep"})
@@ -115,7 +120,7 @@ defmodule Situ.Bridge.Arrow.Schema do
     name = FlatBuffer.string(bytes, field, 0) || ""
     type = type(bytes, field)
     {id, index} = dictionary(bytes, field)
-    place_behind = behind(bytes, field, place, 0)
+    next_place = next_place(bytes, field, place, 0)
     children = if id == nil, do: children(type, bytes, field, place, depth), else: []
 
     case left_out(bytes, field, {type, id, index, children}) do
@@ -132,14 +137,14 @@ defmodule Situ.Bridge.Arrow.Schema do
           index: index
         }
 
-        {column, place_behind}
+        {column, next_place}
 
       kind ->
-        {%{name: name, left_out: kind}, place_behind}
+        {%{name: name, left_out: kind}, next_place}
     end
   end
 
-  # The type of a column that cannot be read, in words; `nil` of one that can.
+  # Returns the type of a column that cannot be read, in words, or `nil`.
   defp left_out(bytes, field, {type, id, index, children}) do
     kind = kind_name(FlatBuffer.number(bytes, field, 2, :u8, 0))
 
@@ -154,7 +159,7 @@ defmodule Situ.Bridge.Arrow.Schema do
 
   defp kind_name(kind), do: Map.get(@kinds, kind, "type #{kind}")
 
-  # The columns in a list, a map or a struct: the places of the first begin behind its own buffers.
+  # The columns in a list, a map or a struct: the first one's place is after its own buffers.
   defp children(type, bytes, field, {node, buffer, view}, depth) do
     if nests?(type) do
       kind = FlatBuffer.number(bytes, field, 2, :u8, 0)
@@ -165,13 +170,13 @@ defmodule Situ.Bridge.Arrow.Schema do
         |> FlatBuffer.tables(field, 5)
         |> Enum.map_reduce(place, &column(bytes, &1, &2, depth + 1))
 
-      fitting(type, Names.distinguish(found))
+      check_children(type, Names.distinguish(found))
     else
       []
     end
   end
 
-  defp fitting(type, children) do
+  defp check_children(type, children) do
     case {Enum.find(children, &is_map_key(&1, :left_out)), type, children} do
       {%{left_out: kind}, _, _} -> {:left_out, kind}
       {nil, :struct, [_ | _]} -> children
@@ -195,11 +200,11 @@ defmodule Situ.Bridge.Arrow.Schema do
     end
   end
 
-  # Nodes, buffers and string views, counted behind a field and all that is in it.
-  defp behind(_bytes, _field, _place, depth) when depth > @deepest,
+  # Counts the nodes, buffers and string views of a field and of everything in it.
+  defp next_place(_bytes, _field, _place, depth) when depth > @deepest,
     do: throw({:not_arrow, "its fields are too deep"})
 
-  defp behind(bytes, field, {node, buffer, view}, depth) do
+  defp next_place(bytes, field, {node, buffer, view}, depth) do
     kind = FlatBuffer.number(bytes, field, 2, :u8, 0)
 
     if FlatBuffer.object(bytes, field, 4) do
@@ -209,7 +214,7 @@ defmodule Situ.Bridge.Arrow.Schema do
 
       bytes
       |> FlatBuffer.tables(field, 5)
-      |> Enum.reduce(place, &behind(bytes, &1, &2, depth + 1))
+      |> Enum.reduce(place, &next_place(bytes, &1, &2, depth + 1))
     end
   end
 

@@ -27,8 +27,8 @@ defmodule Situ.Bridge.Mcap.Codec do
       default: :situ,
       doc:
         "Standard messages as Situ's types (pictures, clouds, poses, inertial readings ...), or all as maps with " <>
-          "everything that is in them, such as frames of reference and covariances. `:apart`: as Situ's types, and " <>
-          "what these have no place for in a second stream, NAME.extra; so are recordings imported."
+          "everything that is in them, such as frames of reference and covariances. `:apart`: as Situ's types, with " <>
+          "the other fields in a second stream, NAME.extra; imports of recordings do this."
     ]
   ]
 
@@ -91,12 +91,17 @@ defmodule Situ.Bridge.Mcap.Codec do
   @spec shaped(t(), :situ | :maps) :: t()
   def shaped(codec, messages), do: %{codec | maps?: messages == :maps}
 
+  @doc "Returns the options that an import opens a file with."
+  @spec import_options(times :: atom()) :: keyword()
+  def import_options(times),
+    do: [messages: :apart, times: if(times == :header, do: :header, else: :log)]
+
   @doc "Whether messages may hold more than the value of their type has a place for."
   @spec lossy?(t(), Situ.Type.t()) :: boolean()
   def lossy?(%{kind: kind}, {:or, _}), do: kind in [:ros1, :cdr, :protobuf]
   def lossy?(_codec, _type), do: false
 
-  @doc "The codec of the second stream: fields of messages that their values have no place for."
+  @doc "Returns the codec of the second stream: of the fields that the values have no place for."
   @spec extra(t()) :: t()
   def extra(codec), do: %{codec | maps?: false, extra?: true}
 
@@ -104,7 +109,7 @@ defmodule Situ.Bridge.Mcap.Codec do
   @spec decode(t(), binary()) :: {:ok, term()} | {:error, String.t()}
   def decode(%{extra?: true} = codec, bytes) do
     with {:ok, message} <- decode(%{codec | extra?: false, maps?: true}, bytes),
-         do: {:ok, Extra.of(message, again(codec, message))}
+         do: {:ok, Extra.take(message, rewrite(codec, message))}
   end
 
   def decode(%{kind: :bytes}, bytes), do: {:ok, bytes}
@@ -123,13 +128,13 @@ defmodule Situ.Bridge.Mcap.Codec do
 
   def decode(codec, bytes), do: decode_ros(codec, bytes)
 
-  # The message that is written for its value.
-  defp again(%{kind: :protobuf, name: name}, message) do
+  # Returns the message that an export of its value alone would write.
+  defp rewrite(%{kind: :protobuf, name: name}, message) do
     value = Foxglove.Standard.from(name, message)
     Foxglove.Standard.to(name, value, 0)
   end
 
-  defp again(%{name: name, topic: topic}, message) do
+  defp rewrite(%{name: name, topic: topic}, message) do
     value = Standard.from(name, message, topic)
     Standard.to(name, value, 0)
   end

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Mcap.Extra do
   @moduledoc false
   # Fields of messages that Situ's types have no place for: headers, covariances, further fields of points. An import
-  # keeps them in a stream of their own, and an export puts them back.
+  # keeps them in a second stream, and the schema in the metadata of the first one. An export puts both back.
   alias Situ.{Message, Store}
   alias Situ.Store.StreamInfo
 
@@ -9,23 +9,40 @@ defmodule Situ.Bridge.Mcap.Extra do
   # Streams of extras have numbers above those of channels and connections.
   @number 0x1_0000_0000
 
-  @doc "The name of the second stream."
+  @typedoc "The name of a type, the language of its definition, and the definition."
+  @type schema :: {name :: String.t(), language :: String.t(), definition :: binary()}
+
+  @doc "Returns the name of the second stream."
   @spec name(String.t()) :: String.t()
   def name(name), do: name <> @ending
 
-  @doc "The number of the second stream."
+  @doc "Returns the number of the second stream."
   @spec number(non_neg_integer()) :: non_neg_integer()
   def number(id), do: id + @number
 
+  @doc "Returns what an import keeps with a stream: the pairs that its writer gave, and its schema."
+  @spec metadata([{String.t(), String.t()}], schema() | nil) :: {String.t(), binary()} | nil
+  def metadata([], nil), do: nil
+
+  def metadata(pairs, schema),
+    do: {"map", pairs |> Map.new() |> put_schema(schema) |> :erlang.term_to_binary()}
+
+  defp put_schema(metadata, nil), do: metadata
+
+  defp put_schema(metadata, {name, language, definition}) do
+    schema = %{"name" => name, "encoding" => language, "definition" => definition}
+    Map.put(metadata, "schema", schema)
+  end
+
   @doc "Returns the fields of a message that another one does not have, and its header."
-  @spec of(map(), map()) :: map()
-  def of(message, again) do
-    extra = without(message, again)
+  @spec take(map(), map()) :: map()
+  def take(message, rewritten) do
+    extra = without(message, rewritten)
     if header = message["header"], do: Map.put(extra, "header", header), else: extra
   end
 
-  defp without(message, again) do
-    for {key, value} <- message, rest = differing(value, Map.get(again, key)), into: %{} do
+  defp without(message, rewritten) do
+    for {key, value} <- message, rest = differing(value, Map.get(rewritten, key)), into: %{} do
       {:rest, rest} = rest
       {key, rest}
     end
@@ -41,7 +58,7 @@ defmodule Situ.Bridge.Mcap.Extra do
 
   defp differing(value, _other), do: {:rest, value}
 
-  @doc "A message with its extra fields."
+  @doc "Puts the extra fields into a message."
   @spec put(term(), map()) :: term()
   def put(message, extra) when extra == %{} or not is_map(message), do: message
 
@@ -55,7 +72,7 @@ defmodule Situ.Bridge.Mcap.Extra do
     end)
   end
 
-  @doc "Streams by the name of the stream whose extras they are."
+  @doc "Returns the streams of extra fields, by the names of the streams that they belong to."
   @spec streams([StreamInfo.t()]) :: %{String.t() => StreamInfo.t()}
   def streams(infos) do
     by_name = Map.new(infos, &{&1.name, &1})
@@ -66,7 +83,7 @@ defmodule Situ.Bridge.Mcap.Extra do
         do: {base, extra}
   end
 
-  @doc "Messages from `ordinal` on, each with its extra fields as `{:with_extra, data, extra}`."
+  @doc "Joins messages from `ordinal` on with their extra fields: the data become `{:with_extra, data, extra}`."
   @spec join([Message.t()], Store.t(), StreamInfo.t() | nil, non_neg_integer()) :: [Message.t()]
   def join(messages, _store, nil, _ordinal), do: messages
 
@@ -85,7 +102,7 @@ defmodule Situ.Bridge.Mcap.Extra do
     end
   end
 
-  @doc "The value and the extra fields of data."
+  @doc "Splits data into the value and its extra fields."
   @spec split(term()) :: {term(), map()}
   def split({:with_extra, value, extra}), do: {value, extra}
   def split(value), do: {value, %{}}

@@ -1,18 +1,16 @@
 defmodule Situ.Bridge.Parquet.Chunk do
   @moduledoc false
-  # The values of a column in one row group: read page by page, taken a few rows at a time, so that memory is that of a
-  # page and of these rows. Throws `{:not_parquet, why}`, and whatever `read` throws.
+  # Reads the values of a column in one row group page by page, and returns a few rows at a time, so that memory holds
+  # one page and these rows. Throws `{:not_parquet, why}`, and whatever `read` throws.
+  alias Situ.Bridge.Columnar.Input
   alias Situ.Bridge.Parquet.{Leaf, Page, Thrift}
 
   @head 4_096
   @small 65_536
-  # Levels pack well: a small file could name very many values of one row.
+  # A small file could name very many values of one row, since levels pack well.
   @most_entries 20_000_000
   @enforce_keys [:leaf, :read, :at, :ends, :packing, :left, :nested?]
   defstruct @enforce_keys ++ [dictionary: nil, page: nil, row: [], row_size: 0]
-
-  @typedoc "Reads so many bytes at a place of the file."
-  @type read :: (at :: non_neg_integer(), n :: non_neg_integer() -> binary())
 
   @typedoc """
   Where the chunk is in the file, how it is packed, and how many values it has; `nested?` values come as the entries of
@@ -29,7 +27,7 @@ defmodule Situ.Bridge.Parquet.Chunk do
   @typedoc "`left` are the values of the pages that are not read yet, `row` the entries of a row that has begun."
   @type t :: %__MODULE__{}
 
-  @spec start(Leaf.t(), place(), read()) :: t()
+  @spec start(Leaf.t(), place(), Input.read()) :: t()
   def start(leaf, place, read) do
     %__MODULE__{
       leaf: leaf,
@@ -42,7 +40,7 @@ defmodule Situ.Bridge.Parquet.Chunk do
     }
   end
 
-  # A small chunk is read at once: reading is a switch to another thread.
+  # A small chunk is read at once, since each read switches to another thread.
   defp read_chunk(%{at: from, size: size}, read) when size in 1..@small do
     bytes = read.(from, size)
     &binary_part(bytes, &1 - from, &2)
@@ -74,7 +72,7 @@ defmodule Situ.Bridge.Parquet.Chunk do
     take_rows(%{chunk | page: page}, missing - length(rows), [rows | found])
   end
 
-  # So many entries end at most so many rows.
+  # A number of entries ends at most as many rows.
   defp take_rows(chunk, missing, found) do
     {entries, page} = Page.take_entries(chunk.page, min(missing, chunk.page.left))
     {row, size, rows} = Enum.reduce(entries, {chunk.row, chunk.row_size, []}, &put_entry/2)

@@ -1,10 +1,11 @@
 defmodule Situ.Bridge.Parquet.File do
   @moduledoc false
-  # A Parquet file as it is read: its columns, and the rows of its row groups, some at a time.
+  # Reads a Parquet file: its columns, and the rows of its row groups, some at a time.
   @behaviour Situ.Bridge.Columnar.Reader
+  alias Situ.Bridge.Columnar.Input
   alias Situ.Bridge.Parquet.{Chunk, Thrift, Tree}
-  alias Situ.Error
 
+  @format {:not_parquet, "Parquet"}
   @most_footer 67_108_864
   @most_chunk 2_147_483_648
   @slice 1_024
@@ -23,50 +24,19 @@ defmodule Situ.Bridge.Parquet.File do
 
   # Looks at the footer. Errors: `:io`, `:not_parquet`.
   @impl true
-  def open(path) do
-    catch_errors(path, fn ->
-      file = open_file(path)
+  def open(path), do: Input.read(path, @format, &footer(&1, path))
 
-      try do
-        {:ok, footer(file, path)}
-      after
-        :file.close(file)
-      end
-    end)
-  end
-
-  defp open_file(path) do
-    case :file.open(path, [:read, :raw, :binary]) do
-      {:ok, file} -> file
-      {:error, reason} -> throw({:io, reason})
-    end
-  end
-
-  defp catch_errors(path, fun) do
-    fun.()
-  catch
-    {:not_parquet, why} ->
-      {:error, Error.new(:not_parquet, "#{path} cannot be read as Parquet", why: why)}
-
-    {:io, reason} ->
-      {:error, io(path, reason)}
-  end
-
-  defp io(path, reason),
-    do: Error.new(:io, "cannot read #{path}", why: to_string(:file.format_error(reason)))
-
-  defp footer(file, path) do
-    {:ok, size} = :file.position(file, :eof)
+  defp footer({size, read}, path) do
     if size < 12, do: fail("it is too short")
 
     n =
-      case read(file, size, size - 8, 8) do
+      case read.(size - 8, 8) do
         <<n::little-32, "PAR1">> when n <= @most_footer and n + 12 <= size -> n
         <<_::32, "PARE">> -> fail("it is encrypted")
         _ -> fail("it does not end in PAR1")
       end
 
-    {meta, _} = file |> read(size, size - 8 - n, n) |> Thrift.read()
+    {meta, _} = Thrift.read(read.(size - 8 - n, n))
 
     with %{2 => [_root | elements], 3 => rows, 4 => groups} when is_list(groups) <- meta do
       columns = Tree.columns(elements)
@@ -87,34 +57,23 @@ defmodule Situ.Bridge.Parquet.File do
 
   @impl true
   def stream_rows(parquet, group, columns) do
-    Stream.resource(
-      fn -> raise_errors(parquet.path, fn -> start(parquet, group, columns) end) end,
-      fn state -> raise_errors(parquet.path, fn -> next_rows(state) end) end,
-      fn %{file: file} -> :file.close(file) end
-    )
+    Input.stream(parquet.path, @format, &start(parquet, group, columns, &1), &next_rows/1)
   end
 
-  defp raise_errors(path, fun) do
-    path |> catch_errors(fn -> {:ok, fun.()} end) |> Error.unwrap!()
-  end
-
-  defp start(parquet, %{1 => chunks, 3 => rows}, columns) when is_list(chunks) and rows >= 0 do
+  defp start(parquet, %{1 => chunks, 3 => rows}, columns, {_size, read})
+       when is_list(chunks) and rows >= 0 do
     places = for column <- columns, do: {column, places(column, chunks, rows, parquet.packed?)}
-
-    file = open_file(parquet.path)
-    {:ok, size} = :file.position(file, :eof)
-    read = fn at, n -> read(file, size, at, n) end
 
     columns =
       for {column, leaves} <- places,
           do: {column, for({leaf, place} <- leaves, do: Chunk.start(leaf, place, read))}
 
-    %{file: file, columns: columns, left: rows}
+    %{columns: columns, left: rows}
   end
 
-  defp start(_parquet, _group, _columns), do: fail("a row group is malformed")
+  defp start(_parquet, _group, _columns, _input), do: fail("a row group is malformed")
 
-  defp next_rows(%{left: 0} = state), do: {:halt, state}
+  defp next_rows(%{left: 0}), do: :done
 
   defp next_rows(%{left: left} = state) do
     n = min(@slice, left)
@@ -161,18 +120,5 @@ defmodule Situ.Bridge.Parquet.File do
     end
   end
 
-  defp read(_file, _size, _at, 0), do: ""
-
-  defp read(file, size, at, n) when at >= 0 and n > 0 do
-    if at + n > size, do: fail("it is cut short")
-
-    case :file.pread(file, at, n) do
-      {:ok, bytes} when byte_size(bytes) == n -> bytes
-      {:error, reason} -> throw({:io, reason})
-      _ -> fail("it is cut short")
-    end
-  end
-
-  defp read(_file, _size, _at, _n), do: fail("a place before its beginning")
   defp fail(why), do: throw({:not_parquet, why})
 end

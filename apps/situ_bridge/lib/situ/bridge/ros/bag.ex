@@ -209,22 +209,14 @@ defmodule Situ.Bridge.Ros.Bag do
       last: last,
       first_creation: first,
       last_creation: last,
-      supplemental: supplemental(track.schema)
+      supplemental: Extra.metadata([], track.schema)
     }
 
     {info, MapSet.put(taken, name)}
   end
 
-  defp supplemental(nil), do: nil
-
-  defp supplemental({name, language, definition}) do
-    schema = %{"name" => name, "encoding" => language, "definition" => definition}
-    {"map", :erlang.term_to_binary(%{"schema" => schema})}
-  end
-
   @impl true
-  def import_options(times),
-    do: [messages: :apart, times: if(times == :header, do: :header, else: :log)]
+  defdelegate import_options(times), to: Codec
 
   @doc false
   # For `Situ.Bridge.Recorder.Export`: everything that is in a message.

@@ -1,0 +1,96 @@
+defmodule Situ.Bridge.Columnar.Input do
+  @moduledoc false
+  # The bytes of a file that is read by place, and the rows that a reader makes of them. A reader throws `{kind, why}`
+  # where the file breaks its format, and so does reading beyond the end of the file; callers get a `Situ.Error`.
+  alias Situ.Error
+
+  @typedoc "The code of the errors, and the name of the format in their text."
+  @type format :: {kind :: atom(), name :: String.t()}
+  @typedoc "Reads so many bytes at a place of the file."
+  @type read :: (at :: integer(), n :: non_neg_integer() -> binary())
+  @type t :: {size :: non_neg_integer(), read()}
+
+  @doc "Returns the value that `fun` gives for the file. Errors: `:io`, and that of the format."
+  @spec read(Path.t(), format(), (t() -> value)) :: {:ok, value} | {:error, Error.t()}
+        when value: term()
+  def read(path, format, fun) do
+    catch_errors(path, format, fn ->
+      {file, input} = open(path, format)
+
+      try do
+        fun.(input)
+      after
+        :file.close(file)
+      end
+    end)
+  end
+
+  @doc """
+  Returns rows as a lazy enumerable. `start` makes a state of the opened file; `next` returns some rows and the next
+  state, or `:done`. Raises `Situ.Error`: `:io`, and that of the format.
+  """
+  @spec stream(Path.t(), format(), (t() -> state), (state -> {[row], state} | :done)) ::
+          Enumerable.t()
+        when state: term(), row: term()
+  def stream(path, format, start, next) do
+    Stream.resource(
+      fn -> raise_errors(path, format, fn -> start(path, format, start) end) end,
+      fn {file, state} ->
+        raise_errors(path, format, fn ->
+          case next.(state) do
+            {rows, state} -> {rows, {file, state}}
+            :done -> {:halt, {file, state}}
+          end
+        end)
+      end,
+      fn {file, _state} -> :file.close(file) end
+    )
+  end
+
+  # Where nothing starts, nobody else closes the file.
+  defp start(path, format, start) do
+    {file, input} = open(path, format)
+
+    try do
+      {file, start.(input)}
+    catch
+      why ->
+        :file.close(file)
+        throw(why)
+    end
+  end
+
+  defp open(path, {kind, _name}) do
+    with {:ok, file} <- :file.open(path, [:read, :raw, :binary]),
+         {:ok, size} <- :file.position(file, :eof) do
+      {file, {size, &read_bytes(file, {size, kind}, &1, &2)}}
+    else
+      {:error, reason} -> throw({:io, reason})
+    end
+  end
+
+  defp read_bytes(_file, _bounds, _at, 0), do: ""
+
+  defp read_bytes(file, {size, kind}, at, n) do
+    if at < 0 or n < 0 or at + n > size, do: throw({kind, "it is cut short"})
+
+    case :file.pread(file, at, n) do
+      {:ok, bytes} when byte_size(bytes) == n -> bytes
+      {:error, reason} -> throw({:io, reason})
+      _ -> throw({kind, "it is cut short"})
+    end
+  end
+
+  defp raise_errors(path, format, fun), do: path |> catch_errors(format, fun) |> Error.unwrap!()
+
+  defp catch_errors(path, {kind, name}, fun) do
+    {:ok, fun.()}
+  catch
+    {^kind, why} ->
+      {:error, Error.new(kind, "#{path} cannot be read as #{name}", why: why)}
+
+    {:io, reason} ->
+      why = to_string(:file.format_error(reason))
+      {:error, Error.new(:io, "cannot read #{path}", why: why)}
+  end
+end
