@@ -27,7 +27,7 @@ defmodule Situ.Space.Scan.Obj do
     {:bad, why} -> bad(why)
   end
 
-  # A line that ends in a backslash goes on in the next one.
+  # A backslash at the end of a line continues it in the next one.
   defp join_lines(text) do
     if :binary.match(text, "\\") == :nomatch,
       do: text,
@@ -38,7 +38,9 @@ defmodule Situ.Space.Scan.Obj do
     do: {:error, Error.new(:bad_file, "this is no OBJ file that can be read", why: why)}
 
   defp line(["v", x, y, z | more], {vertices, colors, faces, count}) when count < @most do
-    place = for word <- [x, y, z], into: <<>>, do: <<number(word)::little-float-32>>
+    place =
+      for word <- [x, y, z], into: <<>>, do: <<Text.parse_coordinate!(word)::little-float-32>>
+
     {[place | vertices], color(more, colors), faces, count + 1}
   end
 
@@ -66,11 +68,11 @@ defmodule Situ.Space.Scan.Obj do
 
   # Scanners write NaN where they saw no colour.
   defp tone(word) do
-    case Text.number(word) do
+    case Text.parse_number(word) do
       {:ok, x} when is_float(x) -> round(255 * (x |> max(0.0) |> min(1.0)))
       {:ok, :infinity} -> 255
       {:ok, _} -> 0
-      :error -> throw({:bad, "#{inspect(String.slice(word, 0, 40))} is no number"})
+      :error -> Text.throw_no_number(word)
     end
   end
 
@@ -79,21 +81,6 @@ defmodule Situ.Space.Scan.Obj do
     do: colors |> Enum.reverse() |> IO.iodata_to_binary()
 
   defp colors(_colors, _count), do: nil
-
-  defp number(word) do
-    case Text.number(word) do
-      {:ok, x} when is_float(x) and abs(x) < 3.4e38 ->
-        x
-
-      {:ok, _} ->
-        throw(
-          {:bad, "a vertex is at #{String.slice(word, 0, 40)}, which is not finite in 32 bits"}
-        )
-
-      :error ->
-        throw({:bad, "#{inspect(String.slice(word, 0, 40))} is no number"})
-    end
-  end
 
   defp index(word, count) do
     case Integer.parse(word) do

@@ -23,7 +23,7 @@ defmodule Situ.Space.Scan.Pcd do
       {:error, %Error{}} = error -> error
     end
   catch
-    {:no_number, word} -> bad("#{inspect(String.slice(word, 0, 40))} is no number")
+    {:bad, why} -> bad(why)
   end
 
   defp bad(why),
@@ -236,21 +236,21 @@ defmodule Situ.Space.Scan.Pcd do
   defp value(_, 4, bytes), do: {:bits, bytes}
   defp value(_, _, _), do: :nan
 
-  defp word(text, "F"), do: number_of(text)
+  defp word(text, "F"), do: parse_number(text)
 
   defp word(text, _) do
     case Integer.parse(text) do
       {n, ""} -> n
-      _ -> number_of(text)
+      _ -> parse_number(text)
     end
   end
 
-  # An infinite coordinate is as little a place as NaN is.
-  defp number_of(text) do
-    case Text.number(text) do
+  # A point with an infinite coordinate has no position, as one with NaN has none.
+  defp parse_number(text) do
+    case Text.parse_number(text) do
       {:ok, x} when is_float(x) -> x
       {:ok, _} -> :nan
-      :error -> throw({:no_number, text})
+      :error -> Text.throw_no_number(text)
     end
   end
 

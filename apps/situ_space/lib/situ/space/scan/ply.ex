@@ -176,7 +176,7 @@ defmodule Situ.Space.Scan.Ply do
   end
 
   defp float_number(word),
-    do: with({:ok, x} <- Text.number(word), do: x, else: (:error -> throw(:no_number)))
+    do: with({:ok, x} <- Text.parse_number(word), do: x, else: (:error -> throw(:no_number)))
 
   defp count(word) do
     case Integer.parse(word) do

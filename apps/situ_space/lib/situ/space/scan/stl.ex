@@ -42,20 +42,7 @@ defmodule Situ.Space.Scan.Stl do
   defp finite?(rest), do: rest == ""
 
   defp corner([_, _, _] = words) do
-    for word <- words, into: <<>> do
-      case Text.number(word) do
-        {:ok, x} when is_float(x) and abs(x) < 3.4e38 ->
-          <<x::little-float-32>>
-
-        {:ok, _} ->
-          throw(
-            {:bad, "a vertex is at #{String.slice(word, 0, 40)}, which is not finite in 32 bits"}
-          )
-
-        :error ->
-          throw({:bad, "#{inspect(String.slice(word, 0, 40))} is no number"})
-      end
-    end
+    for word <- words, into: <<>>, do: <<Text.parse_coordinate!(word)::little-float-32>>
   end
 
   defp corner(_words), do: throw({:bad, "a vertex has not three numbers"})

@@ -5,8 +5,8 @@ defmodule Situ.Space.Scan.Text do
   # Elixir's own parser raises where a number of hundreds of digits is no float.
   @most 200
 
-  @typedoc "A number as IEEE 754 has it."
-  @type number_or_none :: float() | :nan | :infinity | :neg_infinity
+  @typedoc "A number of IEEE 754."
+  @type ieee_number :: float() | :nan | :infinity | :neg_infinity
 
   @doc """
   Parses a finite number, whole or not, with nothing after it.
@@ -20,26 +20,49 @@ defmodule Situ.Space.Scan.Text do
   """
   @spec float(String.t()) :: {:ok, float()} | :error
   def float(text) do
-    with {:ok, x} when is_atom(x) <- number(text), do: :error
+    with {:ok, x} when is_atom(x) <- parse_number(text), do: :error
   end
 
   @doc """
   Parses a number as C's `strtod` does: one too large for 64 bits is infinite, and "nan" and "inf" are numbers.
 
-      iex> for text <- ["1.5", "-1e400", "NaN", "inf", "1e-400", "1e", ""], do: Situ.Space.Scan.Text.number(text)
+      iex> for text <- ["1.5", "-1e400", "NaN", "inf", "1e-400", "1e", ""], do: Situ.Space.Scan.Text.parse_number(text)
       [{:ok, 1.5}, {:ok, :neg_infinity}, {:ok, :nan}, {:ok, :infinity}, {:ok, 0.0}, :error, :error]
   """
-  @spec number(String.t()) :: {:ok, number_or_none()} | :error
-  def number(text) when byte_size(text) <= @most do
+  @spec parse_number(String.t()) :: {:ok, ieee_number()} | :error
+  def parse_number(text) when byte_size(text) <= @most do
     case Float.parse(text) do
       {x, ""} -> {:ok, x}
       _ -> parse_other(text)
     end
   end
 
-  def number(_text), do: :error
+  def parse_number(_text), do: :error
 
-  # Many write a number without the zero before its point, or behind it; Elixir's parser knows none such.
+  @doc """
+  Parses a coordinate, which is finite in 32 bits; otherwise throws `{:bad, why}`.
+
+      iex> Situ.Space.Scan.Text.parse_coordinate!("-1.5")
+      -1.5
+      iex> catch_throw(Situ.Space.Scan.Text.parse_coordinate!("x"))
+      {:bad, ~s("x" is no number)}
+  """
+  @spec parse_coordinate!(String.t()) :: float()
+  def parse_coordinate!(word) do
+    case parse_number(word) do
+      {:ok, x} when is_float(x) and abs(x) < 3.4e38 -> x
+      {:ok, _} -> throw({:bad, "a vertex is at #{shorten(word)}, which is not finite in 32 bits"})
+      :error -> throw_no_number(word)
+    end
+  end
+
+  @doc "Throws `{:bad, why}` for a word that is not a number."
+  @spec throw_no_number(String.t()) :: no_return()
+  def throw_no_number(word), do: throw({:bad, "#{inspect(shorten(word))} is no number"})
+
+  defp shorten(word), do: String.slice(word, 0, 40)
+
+  # Many write a number without the zero before or after its point, which Elixir's parser refuses.
   defp parse_other(text) do
     case Regex.run(~r/\A([+-]?)(\d*)(?:\.(\d*))?([eE][+-]?\d+)?\z/, text) do
       [_, sign, whole | rest] ->
@@ -51,7 +74,7 @@ defmodule Situ.Space.Scan.Text do
     end
   end
 
-  # Of what has the form of a number, only one that is too large is none.
+  # The text has the form of a number, so only one that is too large fails here.
   defp parse_whole(sign, whole, part, exponent) do
     case Float.parse("#{sign}#{zero(whole)}.#{zero(part)}#{exponent}") do
       {x, ""} -> x
