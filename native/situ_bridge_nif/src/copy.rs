@@ -17,9 +17,8 @@ struct CopyResource {
 #[rustler::resource_impl]
 impl rustler::Resource for CopyResource {}
 
-/// `{:ok, {copy, writer}}`. `packing` is `{profile | nil, compression | nil, chunk}`, `selection`
-/// `{channels | nil, {from, to}, :file | :log, replaced,
-/// skip_damage?}`.
+/// `{:ok, {copy, writer}}`. `packing` is `{profile | nil, compression | nil, chunk}`,
+/// `selection` `{channels | nil, {from, to}, :file | :log, replaced, skip_damage?}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_copy_begin<'a>(
     env: Env<'a>,
@@ -61,7 +60,7 @@ fn begin(
     selection: Selection,
 ) -> situ_mcap::Result<Begun> {
     let (profile, compression, chunk) = packing;
-    let (compression, chunk) = style(&reader, compression, chunk);
+    let (compression, chunk) = choose_style(&reader, compression, chunk);
     let info = reader.0.info();
     let options = Options {
         profile: profile.as_ref().unwrap_or(&info.profile),
@@ -80,8 +79,8 @@ fn begin(
     Ok((ResourceArc::new(copy), writer))
 }
 
-/// As the original, where nothing else is asked for: one without chunks stays so.
-fn style(reader: &ReaderResource, wanted: Atom, chunk: u64) -> (Compression, Option<u64>) {
+/// The compression and the chunks of the original, where no others are wanted.
+fn choose_style(reader: &ReaderResource, wanted: Atom, chunk: u64) -> (Compression, Option<u64>) {
     let (compression, chunked) = reader.0.style();
     if wanted == atoms::nil() {
         (compression, chunked.then_some(chunk))

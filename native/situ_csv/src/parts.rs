@@ -1,4 +1,4 @@
-//! Parts of a CSV file as columns: what its fields are, and the values of one of them.
+//! Reads parts of a CSV file as columns: the kinds of their fields, and the values of one of them.
 
 use std::path::Path;
 
@@ -49,7 +49,7 @@ pub struct Column {
 pub enum Why {
     /// It has so many fields.
     Width(usize),
-    /// Its time is none.
+    /// Its time cannot be read.
     Time(String),
     /// Its time is not after the one before.
     Backward,
@@ -79,7 +79,7 @@ pub enum Value<'a> {
     Text(&'a str),
 }
 
-/// Why a part cannot be told.
+/// Why a part cannot be read here.
 #[derive(Debug, PartialEq)]
 pub enum Refusal {
     /// A time takes more than this code to read.
@@ -94,7 +94,7 @@ impl From<Error> for Refusal {
     }
 }
 
-/// Goes through the rows of the next part, and tells of each that is kept its time and its fields.
+/// Goes through the rows of the next part. Calls `kept` with the time and the fields of a row, or `left_out`.
 fn each_row(
     rows: &mut Rows,
     layout: &Layout,
@@ -135,7 +135,7 @@ fn each_row(
     Ok(n)
 }
 
-/// Up to `parts` parts from a place on; fewer is the end.
+/// Scans up to `parts` parts from a place on. Fewer are the end of the file.
 pub fn scan(
     path: &Path,
     layout: &Layout,
@@ -156,7 +156,7 @@ pub fn scan(
                 for (at, (column, field)) in columns.iter_mut().zip(fields).enumerate() {
                     let field = field.trim();
                     if at != layout.time.0 && !field.is_empty() {
-                        count(column, field, time);
+                        count_field(column, field, time);
                     }
                 }
             },
@@ -179,7 +179,7 @@ pub fn scan(
     Ok(found)
 }
 
-fn count(column: &mut Column, field: &str, time: i64) {
+fn count_field(column: &mut Column, field: &str, time: i64) {
     column.kind = match column.kind {
         Some(Kind::Text) => Some(Kind::Text),
         Some(kind) => Some(kind.unify(Kind::of(field))),
@@ -248,7 +248,7 @@ mod tests {
     };
 
     #[test]
-    fn parts_tell_kinds_counts_and_what_is_left_out() {
+    fn parts_have_kinds_counts_and_rows_that_are_left_out() {
         let path = std::env::temp_dir().join(format!("situ-parts-{}", std::process::id()));
         std::fs::write(&path, "1,5,a\n2,, \n2,6,b\n3,7\nx,8,c\n4,0.5,\"d\"\n").unwrap();
         let parts = scan(&path, &LAYOUT, START, 9).unwrap();

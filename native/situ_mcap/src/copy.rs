@@ -1,5 +1,5 @@
-//! A file's records into another file, as they are: nothing is decoded, so that what nobody here can interpret goes
-//! with all the rest.
+//! Copies a file's records to another file as they are. Nothing is decoded, so that messages which nobody here can
+//! interpret are copied with the others.
 
 mod described;
 mod sorted;
@@ -11,7 +11,7 @@ use mcap::records::{MessageHeader, Record};
 use mcap::write::PrivateRecordOptions;
 
 use crate::file::parse;
-use crate::open::Attached;
+use crate::open::{push_sentence, Attached};
 use crate::{Channel, Compression, Error, Reader, Result, Schema, Writer};
 
 use described::Described;
@@ -68,14 +68,9 @@ pub struct Copied {
     pub left_out: Vec<String>,
 }
 
-/// More sentences tell nobody more.
-const MOST_SENTENCES: usize = 1000;
-
 impl Copied {
-    fn tell(&mut self, sentence: String) {
-        if self.left_out.len() < MOST_SENTENCES {
-            self.left_out.push(sentence);
-        }
+    fn note_left_out(&mut self, sentence: String) {
+        push_sentence(&mut self.left_out, sentence);
     }
 }
 
@@ -84,7 +79,7 @@ enum Plan {
     Sorted(sorted::Sorted),
 }
 
-/// A copy under way.
+/// A copy that is running.
 pub struct Copy {
     selection: Selection,
     plan: Plan,
@@ -94,7 +89,7 @@ pub struct Copy {
 }
 
 impl Copy {
-    /// Begins: schemas and channels, under the numbers that they have.
+    /// Begins a copy: writes schemas and channels, under the numbers that they have.
     pub fn begin(reader: &Reader, writer: &mut Writer, selection: Selection) -> Result<Self> {
         let contents = &reader.contents;
         let channels = contents.channels.values();
@@ -111,7 +106,7 @@ impl Copy {
                 if !selection.skip_damage {
                     return Err(Error::Damaged(at, why));
                 }
-                copied.tell(why);
+                copied.note_left_out(why);
                 let schema = 0;
                 described.channel(
                     writer,
@@ -135,7 +130,7 @@ impl Copy {
         })
     }
 
-    /// Copies some megabytes more; answers whether that was all.
+    /// Copies some megabytes more, and returns whether that was all.
     pub fn step(&mut self, reader: &Reader, writer: &mut Writer) -> Result<bool> {
         let mut plan = std::mem::replace(&mut self.plan, Plan::Sorted(sorted::Sorted::default()));
         let result = match &mut plan {
@@ -146,7 +141,7 @@ impl Copy {
         let done = result?;
         if done {
             for (channel, n) in std::mem::take(&mut self.unknown) {
-                self.copied.tell(format!(
+                self.copied.note_left_out(format!(
                     "{n} messages are of channel {channel}, which the file does not describe"
                 ));
             }
@@ -196,7 +191,7 @@ impl Copy {
         inner
             .start_attachment(attached.size, attached.header.clone())
             .map_err(failed)?;
-        attached.each(&reader.bytes, |piece| {
+        attached.each_piece(&reader.bytes, |piece| {
             inner.put_attachment_bytes(piece).map_err(failed)
         })?;
         inner.finish_attachment().map_err(failed)?;
@@ -254,7 +249,7 @@ impl Copy {
             Record::Unknown { opcode, .. } => {
                 let what =
                     format!("a record of kind {opcode} at byte {at}, which MCAP does not know");
-                self.copied.tell(what);
+                self.copied.note_left_out(what);
                 Ok(())
             }
             _ => Ok(()),

@@ -55,14 +55,19 @@ pub struct Contents {
     pub finished: bool,
 }
 
-/// More sentences tell nobody more.
-const MOST_DAMAGE: usize = 1000;
+/// Nobody reads more of them.
+const MOST_SENTENCES: usize = 1000;
+
+/// Adds a sentence about damage to a list, up to a limit.
+pub fn push_sentence(sentences: &mut Vec<String>, sentence: String) {
+    if sentences.len() < MOST_SENTENCES {
+        sentences.push(sentence);
+    }
+}
 
 impl Contents {
-    fn tell(&mut self, damage: String) {
-        if self.damage.len() < MOST_DAMAGE {
-            self.damage.push(damage);
-        }
+    fn note_damage(&mut self, sentence: String) {
+        push_sentence(&mut self.damage, sentence);
     }
 }
 
@@ -85,7 +90,7 @@ pub fn contents_without_index(bytes: &Bytes, why: &str) -> Result<Contents> {
         return Err(Error::NotMcap);
     }
     let mut contents = scan(bytes)?;
-    contents.tell(format!("the index cannot be read {why}"));
+    contents.note_damage(format!("the index cannot be read {why}"));
     Ok(contents)
 }
 
@@ -155,8 +160,8 @@ fn by_summary(bytes: &Bytes) -> Result<Option<Contents>> {
         ));
     }
     contents.chunks.sort_by_key(|c| c.offset);
-    let whole = statistics.is_some_and(|statistics| tells_all(&contents, &statistics))
-        && gaps::read(bytes, &mut contents, indexed, footer.summary_start)?;
+    let whole = statistics.is_some_and(|statistics| is_complete(&contents, &statistics))
+        && gaps::read_gaps(bytes, &mut contents, indexed, footer.summary_start)?;
     Ok(whole.then_some(contents))
 }
 
@@ -173,9 +178,9 @@ fn chunk_place(index: ChunkIndex) -> ChunkPlace {
     }
 }
 
-/// Whether the summary tells where every message is.
-fn tells_all(contents: &Contents, statistics: &Statistics) -> bool {
-    let told: u64 = contents.counts.values().sum();
+/// Whether the summary says where every message is.
+fn is_complete(contents: &Contents, statistics: &Statistics) -> bool {
+    let messages: u64 = contents.counts.values().sum();
     let chunks = statistics.chunk_count as usize;
     let indexed = contents
         .chunks
@@ -187,8 +192,8 @@ fn tells_all(contents: &Contents, statistics: &Statistics) -> bool {
         .all(|id| contents.channels.contains_key(id));
     let defined = |schema: u16| schema == 0 || contents.schemas.contains_key(&schema);
     let defined = contents.channels.values().all(|c| defined(c.schema));
-    let counted = told == 0 || chunks > 0 && chunks == contents.chunks.len() && indexed;
-    statistics.message_count == told && known && defined && counted
+    let counted = messages == 0 || chunks > 0 && chunks == contents.chunks.len() && indexed;
+    statistics.message_count == messages && known && defined && counted
 }
 
 fn metadata(bytes: &Bytes, contents: &mut Contents, offset: u64) -> Result<()> {

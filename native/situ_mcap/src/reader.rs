@@ -139,8 +139,8 @@ impl std::hash::Hash for Times {
     }
 }
 
-/// A chunk that cannot be unpacked is not tried for each of its messages.
-fn behind_damage(track: &Track, at: usize) -> usize {
+/// Passes over the other messages of a chunk that cannot be unpacked.
+fn after_damage(track: &Track, at: usize) -> usize {
     let chunk = track.entries[at].chunk;
     let others = track.entries[at + 1..].iter();
     let same = others
@@ -218,7 +218,7 @@ impl Reader {
         Ok(self.track(channel, times)?.seek(time) as u64)
     }
 
-    /// Returns messages of a channel as the query says, at least one where there is one, and the number to go on with.
+    /// Returns messages of a channel as the query says, at least one where there is one, and the number of the next one.
     pub fn read(&self, query: &Query) -> Result<(Vec<Message>, u64)> {
         let track = self.track(query.channel, query.times)?;
         let mut at = usize::try_from(query.from).unwrap_or(usize::MAX);
@@ -235,7 +235,7 @@ impl Reader {
                     found.push(message);
                     at += 1;
                 }
-                Err(Error::Damaged(..)) if query.skip_damage => at = behind_damage(&track, at),
+                Err(Error::Damaged(..)) if query.skip_damage => at = after_damage(&track, at),
                 Err(other) => return Err(other),
             }
         }
@@ -316,7 +316,7 @@ impl Reader {
         }
         let mut entries = self.entries(channel)?;
         if times.in_messages() {
-            // A message that cannot be read keeps the time of the index: reading it is an error, knowing of it is none.
+            // A message that cannot be read keeps the time of the index. Only reading it is an error.
             let mut damaged = None;
             for entry in &mut entries {
                 if entry.chunk != LOOSE && damaged == Some(entry.chunk) {

@@ -77,7 +77,7 @@ fn start(((byte, line), last): GivenStart) -> Start {
 }
 
 /// Up to `parts` parts: `{:ok, [{rows, [{kind, count, first, last}], [{line, why}], {byte, line}, last}]}`, or
-/// `:slow` where a time takes more to read.
+/// `:slow` where this code cannot read a time.
 #[rustler::nif(schedule = "DirtyIo")]
 fn csv_scan<'a>(
     env: Env<'a>,
@@ -88,14 +88,17 @@ fn csv_scan<'a>(
 ) -> Term<'a> {
     match scan(Path::new(&path), &layout(given), start(from), parts) {
         Ok(parts) => {
-            let parts: Vec<_> = parts.into_iter().map(|part| told(env, part)).collect();
+            let parts: Vec<_> = parts
+                .into_iter()
+                .map(|part| encode_part(env, part))
+                .collect();
             (atoms::ok(), parts).encode(env)
         }
         Err(refusal) => refused(env, refusal),
     }
 }
 
-fn told<'a>(env: Env<'a>, part: Part) -> Term<'a> {
+fn encode_part<'a>(env: Env<'a>, part: Part) -> Term<'a> {
     let columns: Vec<_> = part
         .columns
         .iter()
@@ -111,7 +114,7 @@ fn told<'a>(env: Env<'a>, part: Part) -> Term<'a> {
     let damage: Vec<Term<'a>> = part
         .damage
         .into_iter()
-        .map(|why| reason(env, why))
+        .map(|why| encode_reason(env, why))
         .collect();
     let place = part.next.place;
     (
@@ -124,7 +127,7 @@ fn told<'a>(env: Env<'a>, part: Part) -> Term<'a> {
         .encode(env)
 }
 
-fn reason<'a>(env: Env<'a>, (line, why): (u64, Why)) -> Term<'a> {
+fn encode_reason<'a>(env: Env<'a>, (line, why): (u64, Why)) -> Term<'a> {
     match why {
         Why::Width(fields) => (line, fields).encode(env),
         Why::Time(text) => (line, text).encode(env),
@@ -157,7 +160,7 @@ fn csv_values<'a>(
         _ => Kind::Text,
     };
     let mut found = Vec::new();
-    let told = values(
+    let result = values(
         Path::new(&path),
         &layout(given),
         start(from),
@@ -171,7 +174,7 @@ fn csv_values<'a>(
             found.push((time, value));
         },
     );
-    Ok(match told {
+    Ok(match result {
         Ok(()) => (atoms::ok(), found).encode(env),
         Err(refusal) => refused(env, refusal),
     })

@@ -1,4 +1,4 @@
-//! In the order of log time, by the places of all messages: 24 bytes of memory each.
+//! Copies in the order of log time. The places of all messages are in memory: 24 bytes each.
 
 use super::{Copy, Selection};
 use crate::track::Entry;
@@ -37,7 +37,7 @@ impl Sorted {
                 Ok(written) => written?,
                 Err(Error::Damaged(_, why)) if copy.selection.skip_damage => {
                     copy.copied
-                        .tell(format!("a message at {} ns: {why}", entry.time));
+                        .note_left_out(format!("a message at {} ns: {why}", entry.time));
                 }
                 Err(other) => return Err(other),
             }
@@ -48,7 +48,7 @@ impl Sorted {
         for attachment in &reader.contents.attachments {
             match copy.attachment(reader, writer, attachment.offset) {
                 Err(Error::Damaged(_, why)) if copy.selection.skip_damage => {
-                    copy.copied.tell(why);
+                    copy.copied.note_left_out(why);
                 }
                 other => other?,
             }

@@ -1,4 +1,4 @@
-//! In the order of the file: record by record, whatever its index says.
+//! Copies in the order of the file, record by record. The index is not used.
 
 use mcap::records::op;
 
@@ -35,7 +35,7 @@ impl Streamed {
                 Ok(()) => self.walk.at = place.end(),
                 Err(Error::Damaged(at, why)) if copy.selection.skip_damage => {
                     let passed = self.walk.pass(&reader.bytes, place)?;
-                    copy.copied.tell(left_out(at, &why, passed));
+                    copy.copied.note_left_out(left_out(at, &why, passed));
                     if passed.is_none() {
                         return Ok(true);
                     }
@@ -53,7 +53,7 @@ impl Streamed {
             return Err(Error::Damaged(reader.bytes.size, why));
         }
         copy.copied
-            .tell(format!("at byte {}: {why}", reader.bytes.size));
+            .note_left_out(format!("at byte {}: {why}", reader.bytes.size));
         Ok(true)
     }
 

@@ -1,4 +1,4 @@
-//! Attachments by the fields in front of their data, which may be larger than any memory.
+//! Reads attachments by the fields before their data, which may be larger than any memory.
 
 use mcap::records::AttachmentHeader;
 
@@ -81,7 +81,7 @@ impl Attached {
     }
 
     /// Hands its data over, in pieces.
-    pub fn each(&self, bytes: &Bytes, fun: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+    pub fn each_piece(&self, bytes: &Bytes, fun: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
         each_piece(bytes, self.data, self.data + self.size, fun)
     }
 }

@@ -8,9 +8,9 @@ use super::{take, Contents};
 use crate::file::{Bytes, Place};
 use crate::{Error, Result};
 
-/// Adds what is there without an index. `false` where messages are among it: then the index does not tell of all.
-/// `indexed` are the offsets and lengths of the records that it names.
-pub fn read(
+/// Adds the records that the index does not name. Returns `false` where messages are among them: then the index is
+/// not complete. `indexed` are the offsets and lengths of the records that it names.
+pub fn read_gaps(
     bytes: &Bytes,
     contents: &mut Contents,
     mut indexed: Vec<(u64, u64)>,
@@ -20,28 +20,28 @@ pub fn read(
     indexed.push((summary, 0));
     let mut at = 8;
     for (offset, length) in indexed {
-        match between(bytes, contents, at, offset.min(summary))? {
-            Found::Others => {}
-            Found::Messages => return Ok(false),
-            Found::End => return Ok(true),
+        match read_gap(bytes, contents, at, offset.min(summary))? {
+            Gap::Others => {}
+            Gap::Messages => return Ok(false),
+            Gap::End => return Ok(true),
         }
         at = at.max(offset.saturating_add(length));
     }
     Ok(true)
 }
 
-enum Found {
+enum Gap {
     Others,
     Messages,
     End,
 }
 
-fn between(bytes: &Bytes, contents: &mut Contents, from: u64, until: u64) -> Result<Found> {
+fn read_gap(bytes: &Bytes, contents: &mut Contents, from: u64, until: u64) -> Result<Gap> {
     let mut walk = Walk::new(from, until);
     while let Some(place) = walk.place(bytes)? {
         let result = match place.opcode {
-            op::MESSAGE | op::CHUNK => return Ok(Found::Messages),
-            op::DATA_END => return Ok(Found::End),
+            op::MESSAGE | op::CHUNK => return Ok(Gap::Messages),
+            op::DATA_END => return Ok(Gap::End),
             _ if place.opcode == 0 || place.end() > until => {
                 let why = "no record of the file is there".to_string();
                 Err(Error::Damaged(walk.at, why))
@@ -53,13 +53,13 @@ fn between(bytes: &Bytes, contents: &mut Contents, from: u64, until: u64) -> Res
             // The index says where the next record begins.
             Err(Error::Damaged(at, why)) => {
                 let passed = until - walk.at;
-                contents.tell(format!("at byte {at}: {why} ({passed} bytes are left out)"));
-                return Ok(Found::Others);
+                contents.note_damage(format!("at byte {at}: {why} ({passed} bytes are left out)"));
+                return Ok(Gap::Others);
             }
             Err(other) => return Err(other),
         }
     }
-    Ok(Found::Others)
+    Ok(Gap::Others)
 }
 
 fn record(bytes: &Bytes, contents: &mut Contents, place: Place, at: u64) -> Result<()> {

@@ -12,14 +12,14 @@ use crate::file::{parse, Bytes, Place};
 use crate::track::{Entry, LOOSE};
 use crate::{Error, Result};
 
-/// Passes over all records; those that make no sense are left out, with a word in `damage`.
+/// Passes over all records. Those that make no sense are left out, and `damage` has a sentence about each.
 pub fn scan(bytes: &Bytes) -> Result<Contents> {
     let mut contents = Contents::default();
     let mut entries = BTreeMap::new();
     let mut walk = Walk::new(8, bytes.size);
     loop {
         let Some(place) = walk.place(bytes)? else {
-            contents.tell(format!("the file is cut short at byte {}", bytes.size));
+            contents.note_damage(format!("the file is cut short at byte {}", bytes.size));
             break;
         };
         match record(bytes, place, walk.at, &mut contents, &mut entries) {
@@ -27,7 +27,7 @@ pub fn scan(bytes: &Bytes) -> Result<Contents> {
             Ok(false) => break,
             Err(Error::Damaged(fault, why)) => {
                 let passed = walk.pass(bytes, place)?;
-                contents.tell(left_out(fault, &why, passed));
+                contents.note_damage(left_out(fault, &why, passed));
                 if passed.is_none() {
                     break;
                 }
@@ -41,7 +41,7 @@ pub fn scan(bytes: &Bytes) -> Result<Contents> {
         .map(|(_, e): (&u16, &Vec<Entry>)| e.len())
         .sum::<usize>();
     if unknown > 0 {
-        contents.tell(format!(
+        contents.note_damage(format!(
             "{unknown} messages are of channels that the file does not describe"
         ));
     }
@@ -58,7 +58,7 @@ pub fn scan(bytes: &Bytes) -> Result<Contents> {
 pub fn left_out(fault: u64, why: &str, passed: Option<u64>) -> String {
     match passed {
         Some(n) => format!("at byte {fault}: {why} ({n} bytes are left out)"),
-        None => format!("at byte {fault}: {why}; nothing behind it can be read"),
+        None => format!("at byte {fault}: {why}; nothing after it can be read"),
     }
 }
 

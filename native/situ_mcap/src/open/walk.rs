@@ -1,4 +1,4 @@
-//! The records of a file's data section, one behind the other, and where to go on after one that makes no sense.
+//! The records of a file's data section, one after the other, and where the next one is after one that makes no sense.
 
 use mcap::records::op;
 
@@ -9,7 +9,7 @@ use crate::Result;
 /// No more places are tried in one file: its bytes may be made so that each looks like a record.
 const MOST_TRIED: u32 = 4_000_000;
 const WINDOW: u64 = 1 << 20;
-/// Enough to tell a record by its first fields.
+/// Enough to recognize a record by its first fields.
 const HEAD: u64 = 64;
 
 /// A position among the top-level records of a file.
@@ -38,8 +38,8 @@ impl Walk {
         bytes.place(self.at)
     }
 
-    /// Goes on after a record that makes no sense: behind it where its length is believable, else at the next bytes
-    /// that look like a record. Answers how many bytes were passed over, or `None` where nothing more is found.
+    /// Passes over a record that makes no sense: to its end where its length is believable, else to the next bytes
+    /// that look like a record. Returns how many bytes were passed over, or `None` where nothing more is found.
     pub fn pass(&mut self, bytes: &Bytes, place: Place) -> Result<Option<u64>> {
         let from = self.at;
         let next =
@@ -99,7 +99,7 @@ impl Walk {
         Ok(None)
     }
 
-    /// A chunk proves itself; any other record needs two more behind it, or the end.
+    /// A chunk proves itself; any other record needs two more after it, or the end.
     fn chain(&mut self, bytes: &Bytes, at: u64) -> bool {
         let mut at = at;
         for _ in 0..3 {
@@ -116,7 +116,7 @@ impl Walk {
     }
 }
 
-/// A record's length; what is longer than any file is none.
+/// A record's length, at most the length of the largest file.
 fn length(bytes: &[u8]) -> u64 {
     let eight = bytes.get(..8).and_then(|b| b.try_into().ok());
     eight.map_or(u64::MAX, u64::from_le_bytes).min(1 << 62)
