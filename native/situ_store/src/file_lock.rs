@@ -1,5 +1,5 @@
-//! Locks between processes on files that are not stores: who edits something tells who it is, and the operating system
-//! gives the lock back when the process ends, however it ends.
+//! Locks between processes on files that are not stores. The holder writes into the file who it is, and the operating
+//! system releases the lock when the process ends, however it ends.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
@@ -11,7 +11,7 @@ use rustix::io::Errno;
 
 use crate::error::{Error, Result};
 
-/// The most bytes that are read of what a holder wrote about itself.
+/// The most bytes that are read of a holder's description of itself.
 const MOST: u64 = 4096;
 
 /// A lock that this process holds, until it is dropped. Its file goes with it.
@@ -30,25 +30,25 @@ pub enum Attempt {
     Held(Vec<u8>),
 }
 
-/// Tries to lock `path`, a file that is only for this; `holder` is what the others are told.
+/// Tries to lock `path`, a file for this purpose only. Other processes get `holder` when they try.
 pub fn acquire(path: &Path, holder: &[u8]) -> Result<Attempt> {
     let failed = |e: std::io::Error| Error::io("lock", e);
     loop {
         let mut file = match open(path) {
-            // Somebody else's file: it cannot be ours, but it may name who holds it.
+            // Another user's file cannot be locked by this one, but may name its holder.
             Err(error) if error.kind() == ErrorKind::PermissionDenied => {
                 return match File::open(path) {
-                    Ok(file) if !try_lock(&file)? => Ok(Attempt::Held(told(file))),
+                    Ok(file) if !try_lock(&file)? => Ok(Attempt::Held(read_holder(file))),
                     _ => Err(failed(error)),
                 };
             }
             result => result.map_err(failed)?,
         };
         if !try_lock(&file)? {
-            return Ok(Attempt::Held(told(file)));
+            return Ok(Attempt::Held(read_holder(file)));
         }
-        // Between opening and locking, the holder before may have taken the file away: then it locks nothing.
-        if !names(path, &file) {
+        // The previous holder may have removed the file between opening and locking: then the lock is worthless.
+        if !is_at(path, &file) {
             continue;
         }
         file.set_len(0).map_err(failed)?;
@@ -73,14 +73,14 @@ fn try_lock(file: &File) -> Result<bool> {
     }
 }
 
-fn told(file: File) -> Vec<u8> {
+fn read_holder(file: File) -> Vec<u8> {
     let mut bytes = Vec::new();
-    // Nobody is refused more than the name when it cannot be read.
+    // When it cannot be read, only the name is missing.
     let _ = file.take(MOST).read_to_end(&mut bytes);
     bytes
 }
 
-fn names(path: &Path, file: &File) -> bool {
+fn is_at(path: &Path, file: &File) -> bool {
     let same =
         |a: std::fs::Metadata, b: std::fs::Metadata| (a.dev(), a.ino()) == (b.dev(), b.ino());
     match (std::fs::symlink_metadata(path), file.metadata()) {
@@ -91,8 +91,8 @@ fn names(path: &Path, file: &File) -> bool {
 
 impl Drop for FileLock {
     fn drop(&mut self) {
-        // While it is still locked, so that nobody's newer file goes.
-        if names(&self.path, &self.file) {
+        // It is still locked, so no newer file of another holder is removed.
+        if is_at(&self.path, &self.file) {
             let _ = std::fs::remove_file(&self.path);
         }
     }
@@ -104,7 +104,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_holds_it_and_the_others_are_told_who() {
+    fn only_one_holds_it_and_the_others_learn_who() {
         let path = std::env::temp_dir().join(format!("situ-file-lock-{}", std::process::id()));
         let Attempt::Taken(lock) = acquire(&path, b"Anna").unwrap() else {
             panic!("not taken");

@@ -1,4 +1,4 @@
-//! Names of folders, changed in one step: a program that is killed leaves the one state or the other.
+//! Renames folders in one step, so that a killed program leaves either the old state or the new one.
 
 use std::path::Path;
 
@@ -10,15 +10,15 @@ use crate::error::{Error, Result};
 /// The result of a rename.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
-    /// It was made.
+    /// The name was changed.
     Done,
-    /// There is something of that name already.
+    /// The new name is taken already.
     Exists,
     /// The file system cannot do it in one step.
     Unsupported,
 }
 
-/// Renames `from`, unless something is called `to`, be it an empty folder.
+/// Renames `from` to `to`, unless that exists, even as an empty folder.
 pub fn rename_new(from: &Path, to: &Path) -> Result<Outcome> {
     rename(from, to, RenameFlags::NOREPLACE)
 }

@@ -33,9 +33,8 @@ pub struct Report {
     pub dropped: u64,
     /// Chunks whose place in the index was lost and that were found in the data.
     pub recovered: u64,
-    /// Sound chunks at the end that are left out, since nothing says that they were ever acknowledged: the index that
-    /// would say it is lost.
-    pub doubtful: u64,
+    /// Sound chunks at the end that are left out: the index is lost that would show whether they were acknowledged.
+    pub unconfirmed: u64,
     /// Whether the index is (or, in a dry run, would be) a new one.
     pub rebuilt: bool,
     /// All damage found.
@@ -91,14 +90,14 @@ fn plan(dir: &Path, mut files: Files, progress: &mut impl FnMut(u64, u64)) -> Re
         },
     });
     let found = scan.numbered.keys().next_back().map_or(0, |last| last + 1);
-    // The header's word counts what was acknowledged, also where the entries themselves are gone. It has no checksum:
-    // it is believed as far as there are chunks.
+    // The header counts the acknowledged chunks, even if the entries themselves are gone. The count has no checksum, so
+    // it is trusted only as far as there are chunks.
     let committed = match claims.header {
         Some(_) => scan.committed.max(claims.published.min(found)),
         None => scan.committed,
     };
     scan.committed = committed;
-    let doubtful = scan.numbered.range(committed..).count() as u64;
+    let unconfirmed = scan.numbered.range(committed..).count() as u64;
     let wanted = good.iter().filter(|claim| claim.is_some()).count() as u64;
     let (entries, lost) = if header.version == 1 {
         by_time(&claims, good, scan.unnumbered)
@@ -112,7 +111,7 @@ fn plan(dir: &Path, mut files: Files, progress: &mut impl FnMut(u64, u64)) -> Re
             kept,
             dropped: lost,
             recovered: kept.saturating_sub(wanted),
-            doubtful,
+            unconfirmed,
             rebuilt: !damage.is_empty(),
             damage,
         },

@@ -22,21 +22,14 @@ fn read(dir: &Path) -> BTreeSet<Told> {
         return told;
     };
     for stream in reader.streams() {
-        let mut ordinal = 0;
-        while let Some(entry) = reader.entry_at(stream, ordinal).unwrap() {
-            ordinal = entry.ordinal + u64::from(entry.count);
-            let Ok(chunk) = reader.chunk(&entry) else {
-                continue;
+        common::visit_messages(&reader, stream, |envelope, value, body| {
+            let bytes = match value {
+                Value::Int(value) => value.to_le_bytes().to_vec(),
+                Value::Bytes { start, length } => body[start..start + length].to_vec(),
+                other => format!("{other:?}").into_bytes(),
             };
-            for (envelope, value) in chunk.messages().map_while(|message| message.ok()) {
-                let bytes = match value {
-                    Value::Int(value) => value.to_le_bytes().to_vec(),
-                    Value::Bytes { start, length } => chunk.body()[start..start + length].to_vec(),
-                    other => format!("{other:?}").into_bytes(),
-                };
-                told.insert((stream, envelope.time, bytes));
-            }
-        }
+            told.insert((stream, envelope.time, bytes));
+        });
     }
     told
 }

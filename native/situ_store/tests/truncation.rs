@@ -1,4 +1,4 @@
-//! Files cut short at any byte: repair brings back every message that is still in the data, and its report is true.
+//! Files are cut short at any byte: repair recovers every message that is still in the data, and its report is correct.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
@@ -15,7 +15,7 @@ use situ_store::{Compression, Encoding, Options, Reader, Writer};
 /// Messages of the streams, by stream and time; the catalog's are not counted.
 type Messages = BTreeSet<(u32, i64)>;
 
-/// A message of stream 0 in a chunk: the times that each entry of the index stands for.
+/// A store as it was written: its files, the entries of its index, and its messages.
 struct Original {
     files: Vec<(String, Vec<u8>)>,
     entries: Vec<Entry>,
@@ -65,19 +65,12 @@ fn read(dir: &Path) -> Messages {
         return told;
     };
     for stream in reader.streams().into_iter().filter(|s| *s != CATALOG) {
-        let mut ordinal = 0;
-        while let Some(entry) = reader.entry_at(stream, ordinal).unwrap() {
-            ordinal = entry.ordinal + u64::from(entry.count);
-            let Ok(chunk) = reader.chunk(&entry) else {
-                continue;
-            };
-            for (envelope, value) in chunk.messages().map_while(|message| message.ok()) {
-                if let Value::Int(value) = value {
-                    assert_eq!(envelope, common::envelope(value as u64));
-                }
-                told.insert((stream, envelope.time));
+        common::visit_messages(&reader, stream, |envelope, value, _| {
+            if let Value::Int(value) = value {
+                assert_eq!(envelope, common::envelope(value as u64));
             }
-        }
+            told.insert((stream, envelope.time));
+        });
     }
     told
 }
@@ -173,8 +166,8 @@ fn cut_everywhere(close: bool) {
             // Each commit has one chunk of one message of a stream.
             let mut gone: Messages = messages.map(|e| (e.stream, e.first)).collect();
             // Without the index's header nothing says that the last commit was acknowledged.
-            let doubtful = !close && name == "index.situ" && length < INDEX_HEADER;
-            if doubtful {
+            let unconfirmed = !close && name == "index.situ" && length < INDEX_HEADER;
+            if unconfirmed {
                 gone.insert((1, common::envelope(89).time));
             }
             let expected: Messages = original.all.difference(&gone).copied().collect();
@@ -183,9 +176,9 @@ fn cut_everywhere(close: bool) {
             if name != "index.situ" {
                 assert_eq!(report.dropped, lost.len() as u64, "{place}");
             }
-            assert_eq!(report.doubtful, u64::from(doubtful), "{place}");
+            assert_eq!(report.unconfirmed, u64::from(unconfirmed), "{place}");
             assert_eq!(
-                report.dropped + report.kept + report.doubtful,
+                report.dropped + report.kept + report.unconfirmed,
                 original.entries.len() as u64,
                 "{place}"
             );
@@ -194,11 +187,11 @@ fn cut_everywhere(close: bool) {
 }
 
 #[test]
-fn of_a_closed_store_cut_anywhere_all_that_is_there_comes_back() {
+fn repair_recovers_a_closed_store_that_was_cut_anywhere() {
     cut_everywhere(true);
 }
 
 #[test]
-fn of_a_store_whose_writer_was_killed_too() {
+fn repair_recovers_a_store_whose_writer_was_killed() {
     cut_everywhere(false);
 }

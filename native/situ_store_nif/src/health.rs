@@ -39,7 +39,7 @@ fn reader_verify<'a>(env: Env<'a>, handle: Handle, from: u64, n: u64) -> Term<'a
     }
 }
 
-/// `{:ok, {kept, dropped, recovered, doubtful, rebuilt?, damage}}`, with `dry` of what would be done; meanwhile
+/// `{:ok, {kept, dropped, recovered, unconfirmed, rebuilt?, damage}}`, with `dry` of what would be done; meanwhile
 /// `{:situ_store, tag, {done, total}}` to `pid`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn store_repair<'a>(
@@ -60,7 +60,7 @@ fn store_repair<'a>(
                 report.kept,
                 report.dropped,
                 report.recovered,
-                report.doubtful,
+                report.unconfirmed,
                 report.rebuilt,
                 damage(report.damage),
             ),

@@ -14,7 +14,7 @@ pub struct LockResource(Mutex<Option<FileLock>>, Mutex<Option<Monitor>>);
 
 #[rustler::resource_impl]
 impl rustler::Resource for LockResource {
-    /// Without waiting for a garbage collection: what a process held is free when it has ended.
+    /// Releases the lock when its process ends, without waiting for a garbage collection.
     fn down<'a>(&'a self, _env: Env<'a>, _pid: LocalPid, _monitor: Monitor) {
         drop(lock(&self.0).take());
     }
@@ -22,7 +22,7 @@ impl rustler::Resource for LockResource {
 
 type Handle = ResourceArc<LockResource>;
 
-/// `{:ok, lock}`, the calling process's, or `{:held, what_its_holder_wrote}`.
+/// `{:ok, lock}`, or `{:held, description_of_the_holder}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn file_lock<'a>(env: Env<'a>, path: FilePath, holder: Binary<'a>) -> Term<'a> {
     match file_lock::acquire(&path.0, holder.as_slice()) {
@@ -37,7 +37,7 @@ fn file_lock<'a>(env: Env<'a>, path: FilePath, holder: Binary<'a>) -> Term<'a> {
     }
 }
 
-/// Gives the lock to a process: it is released when that ends. Whether it could be.
+/// Gives the lock to a process, with which it ends. Returns whether that process is alive.
 #[rustler::nif]
 fn file_lock_give(env: Env<'_>, handle: Handle, pid: LocalPid) -> bool {
     let mut watch = lock(&handle.1);

@@ -1,4 +1,4 @@
-//! Names of files, which are bytes.
+//! Names of files as bytes, and renaming in one step.
 
 use std::ffi::OsStr;
 use std::os::unix::ffi::OsStrExt;
@@ -9,7 +9,7 @@ use situ_store::names::{self, Outcome};
 
 use crate::{atoms, errors};
 
-/// A path as Erlang's file functions take it in a binary: as it is, whether it is UTF-8 or not.
+/// A path in a binary, as the file functions of Erlang take it. It need not be UTF-8.
 pub struct FilePath(pub PathBuf);
 
 impl<'a> Decoder<'a> for FilePath {

@@ -92,7 +92,7 @@ defmodule Situ.CLI do
   defp ran(verb, arguments, options) do
     Enum.each(
       [:situ_examples | Application.spec(:situ_cli, :applications) || []],
-      &list_modules/1
+      &load_application/1
     )
 
     if hd(verb.words) in @extended, do: Plugin.load([])
@@ -101,10 +101,10 @@ defmodule Situ.CLI do
     :throw, {:usage, why} -> wrong(verb, why)
   end
 
-  # Recordings may hold the structs of every application of Situ, and only of those that are loaded.
-  defp list_modules(app) do
+  # Recordings may contain structs of all applications of Situ, but only those of loaded applications are read.
+  defp load_application(app) do
     if String.starts_with?(to_string(app), "situ") and Application.load(app) == :ok,
-      do: Enum.each(Application.spec(app, :applications), &list_modules/1)
+      do: Enum.each(Application.spec(app, :applications), &load_application/1)
   end
 
   defp wrong(verb, why) do

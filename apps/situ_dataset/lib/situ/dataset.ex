@@ -18,8 +18,8 @@ defmodule Situ.Dataset do
 
   `open/1` takes a dataset file (`Situ.Dataset.Document`), a `.pds` of \\psi, a folder of recordings, or one
   recording. A dataset is a plain value: edits answer `{:ok, dataset}`, and with `autosave: true` are on disk by then
-  (whole or not at all); else `unsaved?` is true. Nothing that another program has saved is overwritten: `save/1`
-  refuses then, and `update/2` makes an edit of the file as it is. `Situ.Dataset.Server` is a process that holds one for
+  (whole or not at all); else `unsaved?` is true. Edits that another program has saved are never overwritten:
+  `save/1` refuses then, and `update/2` edits the file as it is. `Situ.Dataset.Server` is a process that holds one for
   several users and tells them of changes.
 
   | to | see |
@@ -158,21 +158,21 @@ defmodule Situ.Dataset do
   end
 
   @doc """
-  Writes the dataset to another file, which is its own from now on; paths in it are relative to that. A file that is
-  there is replaced.
+  Writes the dataset to another file, which becomes its file; paths in it are relative to that. An existing file is
+  replaced.
   """
   @spec save_as(t(), Path.t()) :: result()
   def save_as(%__MODULE__{} = dataset, path),
     do: save(%{dataset | file: Path.expand(path), digest: nil})
 
   @doc """
-  Changes the dataset as its file is now, by a function `dataset -> {:ok, dataset} | {:error, error}`, and saves it:
-  the way to edit a file that other programs edit, too. Meanwhile they wait, so `fun` is to be quick and to save
-  nothing itself. A dataset without a file is changed as it is.
+  Reads the dataset from its file, changes it by a function `dataset -> {:ok, dataset} | {:error, error}`, and saves it.
+  Use this for files that other programs edit, too. They wait meanwhile, so `fun` must be quick and must not save the
+  dataset itself. A dataset without a file is changed as it is.
 
       Situ.Dataset.update(dataset, &Situ.Dataset.put(&1, tags: ["pilot" | &1.tags]))
 
-  Errors: those of `fun` and of `save/1`. `:dataset_changed` only where the dataset has edits that were never saved.
+  Errors: those of `fun` and of `save/1`. `:dataset_changed` only if the dataset has unsaved edits.
   """
   @spec update(t(), (t() -> result())) :: result()
   def update(%__MODULE__{file: nil} = dataset, fun), do: fun.(dataset)
@@ -348,11 +348,11 @@ defmodule Situ.Dataset do
          do: put_checksums(dataset, checksums)
   end
 
-  @doc "The partitions of all sessions."
+  @doc "Returns the partitions of all sessions."
   @spec partitions(t()) :: [Partition.t()]
   def partitions(%__MODULE__{sessions: sessions}), do: Enum.flat_map(sessions, & &1.partitions)
 
-  @doc "Notes checksums (`Situ.Dataset.Checksum.all/2`) of recordings by their paths."
+  @doc "Puts the checksums of `Situ.Dataset.Checksum.all/2` into the partitions, by their paths."
   @spec put_checksums(t(), %{Path.t() => String.t()}) :: result()
   def put_checksums(%__MODULE__{} = dataset, checksums) do
     sessions =

@@ -101,7 +101,7 @@ pub(super) struct Index {
     /// Maps of the index's entries: (first byte, map).
     segments: Vec<(u64, Map)>,
     mapped: u64,
-    /// Where the last map ends if that is within a page.
+    /// Where the last map ends, if it ends within a page.
     tail: u64,
     pub loaded: u64,
     /// Entries read since the index's pages were released.
@@ -149,8 +149,8 @@ impl Index {
                 self.map(file, end)?;
                 self.mapped = end;
             }
-            // A file that was cut short has sound entries up to its last byte. Should it grow after all, the page is
-            // mapped once more, and the later map is the one that counts.
+            // A file that was cut short has sound entries up to its last byte. If it grows later, the page is mapped
+            // again, and the later map counts.
             if wanted > self.mapped && length > self.reach() {
                 self.map(file, length)?;
                 self.tail = length;

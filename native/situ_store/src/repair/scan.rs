@@ -180,7 +180,7 @@ impl Scan {
                 Ok(header) => {
                     self.add(&header, (lane, number), at as u64);
                     if is_end(&header, &map[at..]) {
-                        // Of no message, so it needs nothing behind it that says it was committed.
+                        // It contains no message, so it needs no later chunk as evidence that it was committed.
                         let own = header.number.map_or(0, |number| number + 1);
                         self.committed = self.committed.max(own);
                     }

@@ -57,6 +57,20 @@ pub fn envelope(i: u64) -> Envelope {
     }
 }
 
+/// Visits the messages of a stream in their order, without those of damaged chunks.
+pub fn visit_messages(reader: &Reader, stream: u32, mut visit: impl FnMut(Envelope, Value, &[u8])) {
+    let mut ordinal = 0;
+    while let Some(entry) = reader.entry_at(stream, ordinal).unwrap() {
+        ordinal = entry.ordinal + u64::from(entry.count);
+        let Ok(chunk) = reader.chunk(&entry) else {
+            continue;
+        };
+        for (envelope, value) in chunk.messages().map_while(|message| message.ok()) {
+            visit(envelope, value, chunk.body());
+        }
+    }
+}
+
 /// The bytes of message `i`: what they are follows from `i`.
 pub fn payload(i: u64, size: usize) -> Vec<u8> {
     let mut state = i.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;

@@ -38,7 +38,7 @@ defmodule Situ.CLI.Recording do
   @doc "Bytes on the disk."
   @spec size(Path.t()) :: non_neg_integer()
   def size(path) do
-    # Not by Path.wildcard/1: names may be bytes that are not text.
+    # Path.wildcard/1 fails on names that are not UTF-8.
     files =
       case File.ls(path) do
         {:ok, names} -> Enum.map(names, &Path.join(path, &1))

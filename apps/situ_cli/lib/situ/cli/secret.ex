@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Secret do
   @moduledoc false
-  # Secrets of verbs. The command line of a process is readable by every user of the machine; a file is not, and
-  # the environment is its owner's.
+  # Tokens that verbs need. Every user of the machine can read the command line of a process, but not a private file
+  # or its environment.
   alias Situ.CLI.{Option, Output}
   alias Situ.Error
   alias Situ.Remote.Access
@@ -58,7 +58,7 @@ defmodule Situ.CLI.Secret do
     end
   end
 
-  # Group and owner may be meant; everybody never is.
+  # Access by the group may be intended, access by everybody is not.
   defp warn_of_readers(file) do
     with {:ok, %{mode: mode}} when Bitwise.band(mode, 0o004) != 0 <- File.stat(file) do
       Output.warn(

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.SecretTest do
-  # The environment is one for all.
+  # All tests share the environment.
   use ExUnit.Case, async: false
   import ExUnit.CaptureIO
   alias Situ.CLI.{Commands, Desktop, Parser, Secret}
@@ -25,7 +25,7 @@ defmodule Situ.CLI.SecretTest do
     {answer, text}
   end
 
-  test "a token comes from a closed file without a word", %{tmp_dir: root} do
+  test "a token of a private file causes no warning", %{tmp_dir: root} do
     file = Path.join(root, "token")
     File.write!(file, "of-the-file\nnot this\n")
     File.chmod!(file, 0o600)

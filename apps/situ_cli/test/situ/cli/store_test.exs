@@ -84,7 +84,7 @@ defmodule Situ.CLI.StoreTest do
     end
 
     {0, text} = run(["info", Path.join(root, "hall")])
-    assert text =~ "one piece of a recording, beside 1 other: `situ store info '#{root}/hall.*'`"
+    assert text =~ "one of 2 pieces of a recording: `situ store info '#{root}/hall.*'`"
   end
 
   test "crop, copy, concat, edit, rename, delete", %{path: path, tmp_dir: root} do

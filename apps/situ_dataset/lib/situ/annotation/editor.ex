@@ -155,7 +155,7 @@ defmodule Situ.Annotation.Editor do
   def handle_call({:put_schema, schema, fun}, _from, state) do
     changed =
       change(state, fn state ->
-        # Only what is on the disk is answered for.
+        # The new schema counts only when it is on the disk.
         with {:ok, layer} <- allowed(state.layer, schema, fun),
              do: save_version(%{state | layer: layer, undo: [], redo: []})
       end)
@@ -174,7 +174,7 @@ defmodule Situ.Annotation.Editor do
   # that when the edit then fails.
   defp change(state, fun) do
     with {:ok, locked} <- EditorState.lock(state) do
-      # Edits that another editor left when it was killed.
+      # A killed editor had left edits.
       if locked.layer != state.layer, do: tell(locked, :reloaded)
 
       case current(locked) do
@@ -189,7 +189,7 @@ defmodule Situ.Annotation.Editor do
   defp answer({:ok, state}, _before), do: {:reply, {:ok, state.layer}, EditorState.unlock(state)}
   defp answer(error, state), do: {:reply, error, EditorState.unlock(state)}
 
-  # Without the lock the journal, if there is one, is somebody else's.
+  # Without the lock, the journal belongs to another editor.
   defp save_version(state) do
     with {:ok, state} <- Versions.write(state) do
       if state.lock, do: File.rm(state.journal)

@@ -1,31 +1,38 @@
 defmodule Situ.Annotation.EditorState do
   @moduledoc false
-  # The state that an editor starts from: the newest version of its store and, on it, the edits of a journal that a
-  # crash left.
-  # Whoever has unsaved edits holds the journal's lock; nobody else reads or writes the journal then.
+  # The state that an editor starts from: the newest version of its store, with the edits of a journal that a crash
+  # left. An editor with unsaved edits holds the journal's lock, and no other one reads or writes the journal then.
   alias Situ.Annotation.{Journal, Layer, Schema, Versions}
   alias Situ.Dataset.Version
   alias Situ.{Error, Store}
   alias Situ.Store.FileLock
 
   @doc """
-  The state of an editor that begins. A journal that another editor holds is left to it: then the saved annotations are
-  shown, and edits are refused until it has saved.
+  Returns the state of a new editor. If another editor holds the journal, the state has the saved annotations, and edits
+  are refused until the other one has saved.
   """
   @spec open(Path.t(), String.t(), Schema.t() | nil) :: {:ok, map()} | {:error, Error.t()}
   def open(path, stream, schema) do
     path = Path.expand(path)
     state = %{path: path, stream: stream, journal: Journal.path(path, stream), subscribers: %{}}
 
-    with {:ok, lock} <- lock_leftover(state.journal),
-         do: state |> Map.put(:lock, lock) |> load(schema) |> settle(lock)
+    with {:ok, lock} <- lock_existing(state.journal),
+         {:ok, state} <- load_locked(Map.put(state, :lock, lock), schema),
+         do: {:ok, unlock(state)}
   end
 
-  defp lock_leftover(journal) do
+  defp lock_existing(journal) do
     if File.exists?(journal) do
       with {:error, %{code: :being_edited}} <- Journal.lock(journal), do: {:ok, nil}
     else
       {:ok, nil}
+    end
+  end
+
+  defp load_locked(%{lock: lock} = state, schema) do
+    with {:error, _} = error <- load(state, schema) do
+      if lock, do: FileLock.release(lock)
+      error
     end
   end
 
@@ -73,18 +80,8 @@ defmodule Situ.Annotation.EditorState do
     end)
   end
 
-  defp settle({:ok, state}, _lock), do: {:ok, unlock(state)}
-
-  defp settle(error, nil), do: error
-
-  defp settle(error, lock) do
-    FileLock.release(lock)
-    error
-  end
-
   @doc """
-  The state with the journal's lock. Edits that an editor left there when it was killed are taken over first. Error:
-  `:being_edited`.
+  Takes the journal's lock, and the edits that a killed editor left in the journal. Error: `:being_edited`.
   """
   @spec lock(map()) :: {:ok, map()} | {:error, Error.t()}
   def lock(%{lock: nil} = state) do
@@ -92,17 +89,14 @@ defmodule Situ.Annotation.EditorState do
       state = %{state | lock: lock}
 
       if File.exists?(state.journal),
-        do: state |> load(state.layer.schema) |> keep(lock),
+        do: load_locked(state, state.layer.schema),
         else: {:ok, state}
     end
   end
 
   def lock(state), do: {:ok, state}
 
-  defp keep({:ok, state}, _lock), do: {:ok, state}
-  defp keep(error, lock), do: settle(error, lock)
-
-  @doc "The state without the lock, when nothing is unsaved."
+  @doc "Releases the lock if nothing is unsaved."
   @spec unlock(map()) :: map()
   def unlock(%{unsaved?: false, lock: lock} = state) when lock != nil do
     :ok = FileLock.release(lock)

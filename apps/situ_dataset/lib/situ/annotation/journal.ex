@@ -14,15 +14,15 @@ defmodule Situ.Annotation.Journal do
   def path(store, stream), do: "#{store}.#{String.replace(stream, ~r/[^\w.-]/u, "_")}.journal"
 
   @doc """
-  Locks the journal for the calling process: `{:ok, lock}`. Error: `:being_edited`, which names who holds it. Whoever
-  has unsaved edits holds it, so a journal that nobody holds is one that a crash left.
+  Locks the journal for the calling process: `{:ok, lock}`. Error: `:being_edited`, which names the holder. An editor
+  with unsaved edits holds the lock, so a crash has left a journal that is not locked.
   """
   @spec lock(Path.t()) :: {:ok, FileLock.t()} | {:error, Error.t()}
   def lock(path) do
     with :ok <- make_folder(path),
          {:held, holder} <- FileLock.acquire(path <> ".lock") do
       {:error,
-       Error.new(:being_edited, "somebody else has edits of these annotations that are not saved",
+       Error.new(:being_edited, "another editor has unsaved edits of these annotations",
          why: FileLock.describe(holder),
          fix: "save there first, or end that program; then edit again",
          meta: %{holder: holder}
@@ -55,7 +55,7 @@ defmodule Situ.Annotation.Journal do
     with :ok <- AtomicFile.make_folder(Path.dirname(path)),
          {:ok, device} <- :file.open(path, [:append, :raw, :binary]),
          :ok <- written(device, line) do
-      # A power cut is not to take the name of a file that is on the disk.
+      # Otherwise a power cut could lose the name of a file whose content is on the disk.
       if new?, do: AtomicFile.sync_folder(Path.dirname(path)), else: :ok
     else
       {:error, reason} -> {:error, failed(path, reason)}

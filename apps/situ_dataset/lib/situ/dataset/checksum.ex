@@ -19,7 +19,8 @@ defmodule Situ.Dataset.Checksum do
   end
 
   @doc """
-  The checksums of the recordings of partitions, by path: `{:ok, map}`. Option `progress:`, `fun.(done, total)`.
+  Computes the checksums of the recordings of partitions, by path: `{:ok, map}`. Option `progress:`,
+  `fun.(done, total)`.
   """
   @spec all([Situ.Dataset.Partition.t()], keyword()) ::
           {:ok, %{Path.t() => String.t()}} | {:error, Error.t()}

@@ -1,10 +1,11 @@
 defmodule Situ.Dataset.DatasetFile do
   @moduledoc false
-  # The file of a dataset among programs that edit it: one at a time, and none overwrites what it has not read.
+  # The file of a dataset, which several programs may edit: one at a time, and none overwrites edits it has not
+  # read.
   alias Situ.Error
   alias Situ.Store.{AtomicFile, FileLock}
 
-  # Edits take milliseconds; who waits longer is told who has the file.
+  # Edits take milliseconds. After this time the error names the program that has the file.
   @wait_ms 30_000
 
   @doc "Runs `fun` while no other program edits the file. Error: `:dataset_in_use`."
@@ -36,13 +37,13 @@ defmodule Situ.Dataset.DatasetFile do
     )
   end
 
-  @doc "Of the text of a dataset file, to know it again."
+  @doc "Returns the digest of the text of a dataset file, by which a change is found."
   @spec digest(binary()) :: String.t()
   def digest(text), do: :sha256 |> :crypto.hash(text) |> Base.encode16()
 
   @doc """
-  Whether the file is as it was when it had this digest, or is gone. A dataset that was never in the file (`nil`)
-  replaces whatever is there.
+  Checks that the file still has this digest, or is gone. A dataset that was never in the file (`nil`) replaces any
+  file.
   """
   @spec check_unchanged(Path.t(), String.t() | nil) :: :ok | {:error, Error.t()}
   def check_unchanged(_path, nil), do: :ok

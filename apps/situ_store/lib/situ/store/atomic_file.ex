@@ -1,6 +1,6 @@
 defmodule Situ.Store.AtomicFile do
   @moduledoc """
-  Files and names that a power cut leaves either as they were or as they are to be.
+  Writes files and changes names so that a power cut leaves either the old state or the new one.
 
       iex> path = Path.join(System.tmp_dir!(), "situ-doc-atomic-#{System.pid()}")
       iex> Situ.Store.AtomicFile.write(path, ["all", " of it"])
@@ -9,7 +9,10 @@ defmodule Situ.Store.AtomicFile do
       {"all of it", :ok}
   """
 
-  @doc "Puts a file with this content in the place of `path`: whole and on the disk, or not at all."
+  @doc """
+  Replaces the file `path` by one with this content, which is then complete and on the disk. On an error `path` is
+  unchanged.
+  """
   @spec write(Path.t(), iodata()) :: :ok | {:error, File.posix()}
   def write(path, content) do
     temporary = "#{path}.#{System.pid()}-#{System.unique_integer([:positive])}.tmp"
@@ -25,14 +28,14 @@ defmodule Situ.Store.AtomicFile do
     end
   end
 
-  # Through :file, whose errors are values: :file.write/2 to a full disk answers :enospc.
+  # The functions of :file return errors as values: :file.write/2 to a full disk returns :enospc.
   defp write_synced(device, content) do
     with :ok <- :file.write(device, content), do: :file.sync(device)
   after
     :file.close(device)
   end
 
-  @doc "Renames a file or folder and brings the new name to the disk. The file itself has to be there before."
+  @doc "Renames a file or folder and brings the new name to the disk. The content must be on the disk already."
   @spec rename(Path.t(), Path.t()) :: :ok | {:error, File.posix()}
   def rename(from, to) do
     with :ok <- File.rename(from, to) do
@@ -42,8 +45,7 @@ defmodule Situ.Store.AtomicFile do
   end
 
   @doc """
-  Makes a folder with those above it that are missing, as `File.mkdir_p/1`, and brings the names of those it made to
-  the disk.
+  Makes a folder and its missing parents, like `File.mkdir_p/1`, and brings their names to the disk.
   """
   @spec make_folder(Path.t()) :: :ok | {:error, File.posix()}
   def make_folder(path) do
@@ -55,7 +57,7 @@ defmodule Situ.Store.AtomicFile do
     end
   end
 
-  @doc "Brings the files in a folder to the disk, then their names. The first error is the answer."
+  @doc "Brings the files in a folder to the disk, then their names. Returns the first error."
   @spec sync_files(Path.t()) :: :ok | {:error, File.posix()}
   def sync_files(folder) do
     with {:ok, names} <- File.ls(folder),
@@ -77,8 +79,7 @@ defmodule Situ.Store.AtomicFile do
   end
 
   @doc """
-  Brings the names in a folder to the disk. File systems that cannot do that (some of networks) are not asked for more
-  than they give.
+  Brings the names in a folder to the disk. Some network file systems cannot do that, so errors are ignored.
   """
   @spec sync_folder(Path.t()) :: :ok
   def sync_folder(path) do

@@ -24,19 +24,19 @@ defmodule Situ.Store.Catalog do
     _, _ -> catalog
   end
 
-  # A catalog may come from anybody: a record counts when each of its values is what it is to be.
+  # A catalog may come from anybody, so values of another type than expected are ignored.
   defp record(%{"kind" => "store"} = r, catalog) do
     %{
       catalog
-      | name: text(r["name"]),
+      | name: text_or_nil(r["name"]),
         volatile?: r["volatile"] == true,
-        writer: text(r["writer"])
+        writer: text_or_nil(r["writer"])
     }
   end
 
   defp record(%{"kind" => "stream", "id" => id, "name" => name} = r, catalog)
        when id in 1..@most and is_binary(name) do
-    type_name = text(r["type"]) || ":any"
+    type_name = text_or_nil(r["type"]) || ":any"
     {type, catalog} = type(type_name, catalog)
 
     info = %StreamInfo{
@@ -54,21 +54,25 @@ defmodule Situ.Store.Catalog do
 
   defp record(%{"kind" => "codec", "id" => id, "number" => number, "name" => name} = r, catalog)
        when number in 1..0xFFFF and is_binary(name) do
-    update(catalog, id, &%{&1 | codecs: Map.put(&1.codecs, number, {name, text(r["module"])})})
+    update(
+      catalog,
+      id,
+      &%{&1 | codecs: Map.put(&1.codecs, number, {name, text_or_nil(r["module"])})}
+    )
   end
 
   defp record(%{"kind" => "fields", "id" => id, "fields" => fields} = r, catalog)
        when is_list(fields) do
     update(catalog, id, fn info ->
       if info.fields == nil and Enum.all?(fields, &is_binary/1),
-        do: %{info | module: text(r["module"]), fields: fields},
+        do: %{info | module: text_or_nil(r["module"]), fields: fields},
         else: info
     end)
   end
 
   defp record(%{"kind" => "metadata", "id" => id, "term" => term} = r, catalog)
        when is_binary(term) do
-    type = text(r["type"]) || ":any"
+    type = text_or_nil(r["type"]) || ":any"
     update(catalog, id, &%{&1 | supplemental: {type, Base.decode64!(term)}})
   end
 
@@ -85,8 +89,8 @@ defmodule Situ.Store.Catalog do
 
   defp record(_, catalog), do: catalog
 
-  defp text(text) when is_binary(text), do: text
-  defp text(_), do: nil
+  defp text_or_nil(text) when is_binary(text), do: text
+  defp text_or_nil(_), do: nil
 
   # Times have 64 bits.
   defp time?(time),

@@ -23,8 +23,8 @@ defmodule Situ.Store.Copying do
       type: {:in, [:header, :record]},
       default: :header,
       doc:
-        "Of bags and MCAP files: originating times are the stamps of headers, where a message has one, or the times " <>
-          "of recording."
+        "For bags and MCAP files: whether originating times are the stamps in the headers of messages, where they " <>
+          "have one, or the times of recording."
     ],
     empty: [
       type: {:in, [:allow, :refuse]},
@@ -37,7 +37,7 @@ defmodule Situ.Store.Copying do
       type: :any,
       default: :none,
       doc:
-        "As `Situ.Store.Writer.create/3`, while it is written. The whole is on the disk in any case."
+        "While the store is written, as in `Situ.Store.Writer.create/3`. When it is finished, all of it is on the disk."
     ]
   ]
   @crop_options @options ++
@@ -81,9 +81,9 @@ defmodule Situ.Store.Copying do
   Rewrites a store in its place: many small commits become full chunks, holes and what was taken back are gone.
   `{:ok, path}`.
 
-  The new store is whole and on the disk before the two exchange their names in one step, and the old one is deleted
-  last: a program killed meanwhile leaves the recording under its own name. On a file system that cannot exchange names
-  it may be left as `NAME.before-compaction`, of which `repair/2` makes the recording again. Damage is an error unless
+  The new store is complete and on the disk before the two exchange their names in one step, and the old one is deleted
+  last. If the program is killed meanwhile, the recording keeps its name. On a file system that cannot exchange names
+  it may be left as `NAME.before-compaction`, from which `repair/2` restores it. Damage is an error unless
   `skip_damage: true`.
 
   #{Situ.Options.docs(@compact_options)}
@@ -163,7 +163,7 @@ defmodule Situ.Store.Copying do
     end
   end
 
-  # A recording of nothing is most likely a mistaken time.
+  # An interval without messages is most likely a mistaken time.
   defp check_interval(sources, opts) do
     wanted = {opts[:from] || @earliest, opts[:to] || @latest}
     infos = for {_, info} <- sources, info.count > 0, do: info
@@ -183,7 +183,7 @@ defmodule Situ.Store.Copying do
     case Reading.first_at(store, info, from) do
       {:ok, nil} -> false
       {:ok, message} -> message.originating_time <= to
-      # Damage is the copy's to report.
+      # The copy reports the damage.
       {:error, _} -> true
     end
   end
@@ -201,7 +201,7 @@ defmodule Situ.Store.Copying do
 
   defp sources(store), do: Enum.map(Reading.streams(store), &{store, &1})
 
-  # Foreign readers are asked for everything that is in a file.
+  # A foreign file is opened so that nothing in it is lost.
   defp open(path, times) do
     reader = if File.regular?(path), do: Formats.for_file(path)
 

@@ -1,14 +1,14 @@
 defmodule Situ.Store.Draft do
   @moduledoc false
   # A store made out of others. While it is written its folder is NAME.PID-N.unfinished, which nothing takes for a
-  # store; only the whole, on the disk, gets a name, in one step. The next program that makes a store of this name
-  # sweeps away the leftovers of a killed one.
+  # store. It gets its name in one step, when it is complete and on the disk. The next program that makes a store of
+  # this name deletes the drafts of killed ones.
   alias Situ.Error
   alias Situ.Store.{AtomicFile, FileLock, Folder, Reading, Replacement, Writer}
 
   @doc """
-  `work.(writer)` fills it and answers `:ok`; on an error nothing of it stays. With `replace: folder` it takes the place
-  of that store.
+  Makes a store that `work.(writer)` fills. On an error nothing of it stays. With `replace: folder` it replaces that
+  store.
   """
   @spec make({String.t(), Path.t()}, keyword(), (Writer.t() -> :ok | {:error, Error.t()})) ::
           {:ok, Path.t()} | {:error, Error.t()}
@@ -21,7 +21,7 @@ defmodule Situ.Store.Draft do
          {:ok, draft, lock} <- claim(base) do
       try do
         sweep(base)
-        draft |> write(name, opts, work) |> finish(draft, target) |> explained()
+        draft |> write(name, opts, work) |> finish(draft, target) |> explain_error()
       after
         FileLock.release(lock)
       end
@@ -44,16 +44,16 @@ defmodule Situ.Store.Draft do
   defp free({:version, name, _root}), do: Folder.check_name(name)
   defp free({:replace, _folder}), do: :ok
 
-  # Whoever makes a draft holds its lock, until it has its name: nobody else may sweep it away.
+  # The maker of a draft holds its lock until the store has its name, so that no other program deletes it.
   defp claim(base) do
     draft = "#{base}.#{System.pid()}-#{System.unique_integer([:positive])}#{Folder.unfinished()}"
 
     with :ok <- Folder.make_parents(base),
-         {:ok, lock} <- FileLock.acquire(lock_of(draft)),
+         {:ok, lock} <- FileLock.acquire(lock_path(draft)),
          do: {:ok, draft, lock}
   end
 
-  defp lock_of(draft), do: draft <> ".lock"
+  defp lock_path(draft), do: draft <> ".lock"
 
   defp write(draft, name, opts, work) do
     options = [versioned: false] ++ Keyword.take(opts, [:durability, :first_extent, :mode])
@@ -80,13 +80,13 @@ defmodule Situ.Store.Draft do
     {:error, error}
   end
 
-  # Whoever deletes the original next, and then has a power cut, still has the copy.
+  # If the user deletes the original next, and the power fails, the copy is still there.
   defp sync(draft) do
     with {:error, reason} <- AtomicFile.sync_files(draft),
          do: {:error, Folder.io_error("bring #{draft} to the disk", reason)}
   end
 
-  defp place(draft, {:version, name, root}), do: Folder.place(draft, name, root)
+  defp place(draft, {:version, name, root}), do: Folder.place_version(draft, name, root)
   defp place(draft, {:plain, _name, root}), do: move(draft, root)
   defp place(draft, {:replace, folder}), do: Replacement.put(draft, folder)
 
@@ -104,12 +104,12 @@ defmodule Situ.Store.Draft do
     end
   end
 
-  defp explained({:error, %{code: :disk_full} = error}) do
+  defp explain_error({:error, %{code: :disk_full} = error}) do
     why = "what was made so far is removed again; the original is as it was"
     {:error, %{error | why: why}}
   end
 
-  defp explained(result), do: result
+  defp explain_error(result), do: result
 
   defp sweep(base) do
     prefix = Path.basename(base) <> "."
@@ -122,13 +122,13 @@ defmodule Situ.Store.Draft do
           uniq: true,
           do: Path.join(Path.dirname(base), entry)
 
-    for path <- drafts, not live?(path), {:ok, lock} <- [FileLock.acquire(lock_of(path))] do
+    for path <- drafts, not live?(path), {:ok, lock} <- [FileLock.acquire(lock_path(path))] do
       _ = if File.dir?(path), do: Folder.remove(path)
       FileLock.release(lock)
     end
   end
 
-  # Of an older release, which holds only the writer's lock.
+  # A draft of an older release has no lock but the writer's.
   defp live?(path) do
     case Reading.open(path) do
       {:ok, store} -> Reading.live?(store)

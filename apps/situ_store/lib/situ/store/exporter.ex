@@ -48,10 +48,10 @@ defmodule Situ.Store.Exporter do
            {:tuple, [{:in, [:bytes]}, :pos_integer]}
          ]},
       doc:
-        "With `split:`: delete the oldest pieces, those of earlier runs among them, so that at least " <>
-          "`{:span, ns}` or at most `{:bytes, n}` stay. A span is what was recorded in whole pieces before the " <>
-          "newest (a pause does not count); of pieces that are cut by size, the time since they ended by the " <>
-          "computer's clock. No message's time deletes anything."
+        "With `split:`: delete the oldest pieces, including those of earlier runs, so that at least " <>
+          "`{:span, ns}` or at most `{:bytes, n}` stay. A span is the time recorded in complete pieces before " <>
+          "the newest, without pauses. For pieces that are cut by size, it is the time since they ended by " <>
+          "the computer's clock. A wrong time in a message never deletes anything."
     ]
   ]
 
@@ -158,7 +158,7 @@ defmodule Situ.Store.Exporter do
       end
 
     raise ArgumentError,
-          "Situ.Store.write/4 takes a stream, what Situ.Store.create/4 returned, and a name: #{wrong}\n" <>
+          "Situ.Store.write/4 takes a stream, a store from Situ.Store.create/4, and a name: #{wrong}\n" <>
             ~s|  Write: store = Situ.Store.create(p, "lobby", "recordings"); Situ.Store.write(stream, store, "Level")|
   end
 

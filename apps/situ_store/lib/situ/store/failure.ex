@@ -38,9 +38,9 @@ defmodule Situ.Store.Failure do
   end
 
   def error(:compaction_interrupted, path, _stream) do
-    Error.new(:compaction_interrupted, "the store #{path} is without its name",
-      why: "a compaction was killed while it put the new store in its place; nothing is lost",
-      fix: "`situ store repair '#{path}'` gives it its name back"
+    Error.new(:compaction_interrupted, "the store #{path} has lost its name",
+      why: "a compaction was killed while it replaced the store; no data is lost",
+      fix: "`situ store repair '#{path}'` restores the name"
     )
   end
 

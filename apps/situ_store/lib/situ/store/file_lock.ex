@@ -1,7 +1,7 @@
 defmodule Situ.Store.FileLock do
   @moduledoc """
-  A lock that processes of the operating system respect, for what is edited in turns: the file of a dataset, the
-  journal of an annotation stream.
+  A lock between processes of the operating system, for files that are edited in turns, such as the file of a dataset
+  and the journal of an annotation stream.
 
       iex> path = Path.join(System.tmp_dir!(), "situ-doc-lock-#{System.pid()}")
       iex> {:ok, lock} = Situ.Store.FileLock.acquire(path)
@@ -12,13 +12,14 @@ defmodule Situ.Store.FileLock do
       iex> File.exists?(path)
       false
 
-  The lock belongs to one process of this system, and ends with it, or when nobody has its term any more; when the whole
-  program dies, the operating system takes it back. While it is held, its file tells who holds it: `t:holder/0`.
+  The lock belongs to one Erlang process. It is released when that process ends, or when its term is garbage collected;
+  when the whole program dies, the operating system releases it. While it is held, its file says who holds it
+  (`t:holder/0`).
   """
   alias Situ.Error
   alias Situ.Store.{Failure, Native}
 
-  @typedoc "Who holds a lock, as it wrote itself; what cannot be read is `nil`."
+  @typedoc "The holder of a lock, as it described itself. A key that cannot be read is `nil`."
   @type holder :: %{
           os_pid: String.t() | nil,
           host: String.t() | nil,
@@ -29,13 +30,13 @@ defmodule Situ.Store.FileLock do
         }
   @opaque t :: reference()
 
-  # How long a lock is waited for whose holder in this system has just ended.
+  # How long to wait for a lock whose holder in this system has just ended.
   @ending_ms 5_000
   @again_ms 10
 
   @doc """
-  Takes the lock for the calling process: `{:ok, lock}`, or `{:held, holder}` when another has it for longer than
-  `wait_ms`. `path` is a file for this purpose alone.
+  Takes the lock for the calling process: `{:ok, lock}`, or `{:held, holder}` when another process keeps it
+  for longer than `wait_ms`. `path` is a file for this purpose alone.
   """
   @spec acquire(Path.t(), non_neg_integer()) ::
           {:ok, t()} | {:held, holder()} | {:error, Error.t()}
@@ -46,7 +47,9 @@ defmodule Situ.Store.FileLock do
     with {:held, text} <- Native.file_lock(path, Situ.JSON.encode(describe_self())) do
       holder = parse_holder(text)
 
-      if now() < if(ended?(holder), do: max(last, last_of_ended), else: last) do
+      deadline = if ended?(holder), do: max(last, last_of_ended), else: last
+
+      if now() < deadline do
         receive after: (@again_ms -> acquire_until(path, last, last_of_ended))
       else
         {:held, holder}
@@ -63,18 +66,18 @@ defmodule Situ.Store.FileLock do
 
   defp now, do: System.monotonic_time(:millisecond)
 
-  @doc "Makes the lock the calling process's; it no longer ends with the one that took it."
+  @doc "Makes the calling process the holder of the lock, in place of the process that took it."
   @spec own(t()) :: :ok
   def own(lock) do
     true = Native.file_lock_give(lock, self())
     :ok
   end
 
-  @doc "Gives the lock back. A lock that was given back already is left alone."
+  @doc "Releases the lock. Does nothing when it was released already."
   @spec release(t()) :: :ok
   def release(lock), do: Native.file_unlock(lock)
 
-  @doc "Who holds it, for a person: `Anna's situ studio (process 4711 on lab3), since 2026-01-31T12:00:00Z`."
+  @doc "Describes the holder for a person: `Anna's situ studio (process 4711 on lab3), since 2026-01-31T12:00:00Z`."
   @spec describe(holder()) :: String.t()
   def describe(holder) do
     who = Enum.map_join([holder.user, holder.program], ": ", &(&1 || "unknown"))
@@ -99,7 +102,7 @@ defmodule Situ.Store.FileLock do
     List.to_string(name)
   end
 
-  # The first words of the command line: options may hold what is nobody's business.
+  # The first words of the command line only, since options may contain secrets.
   defp program do
     case Enum.take_while(:init.get_plain_arguments(), &word?/1) do
       [] -> "an Elixir program"
@@ -107,7 +110,7 @@ defmodule Situ.Store.FileLock do
     end
   end
 
-  # Bytes that are not UTF-8 come as a tuple.
+  # An argument that is not UTF-8 is a tuple.
   defp word?(text), do: is_list(text) and List.to_string(text) =~ ~r/\A[a-z][\w.\/-]*\z/i
 
   defp parse_holder(text) do
@@ -122,7 +125,7 @@ defmodule Situ.Store.FileLock do
         do: {key, printable(found[Atom.to_string(key)])}
   end
 
-  # Anybody who may write there may have written it, and terminals obey control characters.
+  # Any user with access to the folder may have written it, and terminals obey control characters.
   defp printable(text) when is_binary(text),
     do: text |> String.replace(~r/[^[:print:]]/u, "?") |> String.slice(0, 80)
 

@@ -121,20 +121,20 @@ defmodule Situ.Store.Folder do
     with {:error, :eexist} <- AtomicFile.make_folder(path), do: {:error, :enotdir}
   end
 
-  @doc "Makes the folders in which a store of this path is to be."
+  @doc "Makes the parent folders of a store that will be at `path`."
   @spec make_parents(Path.t()) :: :ok | {:error, Error.t()}
   def make_parents(path) do
     with {:ok, _} <- mkdir(Path.dirname(path), fn -> parent(Path.dirname(path)) end), do: :ok
   end
 
-  @doc "Gives a whole store the name of the next version of `name` below `root`, in one step: `{:ok, path}`."
-  @spec place(Path.t(), String.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
-  def place(from, name, root) do
+  @doc "Gives a finished store the name of the next version of `name` below `root`, in one step: `{:ok, path}`."
+  @spec place_version(Path.t(), String.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def place_version(from, name, root) do
     with :ok <- check_name(name),
-         do: place(from, name, root, next(name, root))
+         do: place_version(from, name, root, next(name, root))
   end
 
-  defp place(from, name, root, version) do
+  defp place_version(from, name, root, version) do
     path = Path.join(root, "#{name}.#{pad(version)}")
 
     case Native.rename_new(from, path) do
@@ -144,7 +144,7 @@ defmodule Situ.Store.Folder do
 
       # Another process took this number: the next one is ours.
       :exists ->
-        place(from, name, root, version + 1)
+        place_version(from, name, root, version + 1)
 
       :unsupported ->
         place_over(from, name, root)
@@ -164,7 +164,7 @@ defmodule Situ.Store.Folder do
     end
   end
 
-  @doc "An error of a file's operation, `what` could not be done."
+  @doc "An error of an operation on files: `what` could not be done."
   @spec io_error(String.t(), File.posix()) :: Error.t()
   def io_error(what, reason) do
     Error.new(code(reason), "cannot #{what}",
@@ -200,7 +200,7 @@ defmodule Situ.Store.Folder do
     end
   end
 
-  # A writer that was killed before it had a file leaves an empty folder, which is no recording and hides none.
+  # A writer that was killed before it had a file leaves an empty folder. It must not hide an older recording.
   defp newest_of(versions, name, root) do
     paths = for version <- versions, do: Path.join(root, "#{name}.#{pad(version)}")
     Enum.find(paths, hd(paths), &(File.ls(&1) != {:ok, []}))
@@ -213,7 +213,7 @@ defmodule Situ.Store.Folder do
         do: Path.join(root, "#{name}.#{pad(version)}")
   end
 
-  @doc "The bytes of a store's files, those allocated for later messages among them."
+  @doc "The bytes of a store's files, including bytes allocated for later messages."
   @spec size(Path.t()) :: non_neg_integer()
   def size(path) do
     for file <- ls(path),
@@ -284,8 +284,8 @@ defmodule Situ.Store.Folder do
   def name(path), do: path |> Path.basename() |> String.replace(~r/\.\d{4,}$/, "")
 
   @doc """
-  The name of the store in a folder, of which its catalog says what it was called when it was made. A folder NAME.NNNN
-  says what it is called now, whoever renamed it; another one has any name.
+  The current name of the store in a folder; `made_as` is the name that its catalog has from when it was made. A folder
+  NAME.NNNN may have been renamed since, so its own name counts. Any other folder says nothing about the name.
   """
   @spec own_name(Path.t(), term()) :: String.t()
   def own_name(path, made_as) do
@@ -322,7 +322,7 @@ defmodule Situ.Store.Folder do
 
   defp pad(version), do: version |> Integer.to_string() |> String.pad_leading(4, "0")
 
-  @doc "Whether a store can be called so."
+  @doc "Whether a store can have this name."
   @spec check_name(term()) :: :ok | {:error, Error.t()}
   def check_name(name) do
     if is_binary(name) and name =~ ~r/\A[^\/\0]{1,200}\z/ and name not in [".", ".."] do

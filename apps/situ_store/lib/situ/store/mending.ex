@@ -42,13 +42,13 @@ defmodule Situ.Store.Mending do
 
   @doc """
   Makes a store whole that was not closed or is damaged: `{:ok, report}` with `kept`, `dropped`, `recovered`,
-  `doubtful`, `rebuilt?` and `damage`.
+  `unconfirmed`, `rebuilt?` and `damage`.
 
   A sound store that was merely not closed is cut to size and marked closed. Every chunk that could be read before is
   kept. Where the index is damaged or lost, its places are filled from the data with the chunks that are known to have
-  been committed (`recovered`); chunks that are damaged themselves are left out (`dropped`). Where the whole index is
-  lost, nothing says that the last commit of a killed writer was acknowledged: it is left out (`doubtful`). The data
-  files are not rewritten, but for the header of an extent when that is damaged; the old index stays as
+  been committed (`recovered`); chunks that are damaged themselves are left out (`dropped`). If the whole index is
+  lost, nothing shows that the last commit of a killed writer was acknowledged, so it is left out (`unconfirmed`). The
+  data files are not rewritten, but for the header of an extent when that is damaged; the old index stays as
   `index.situ.before-repair`, with a number where there is one already.
 
   #{Situ.Options.docs(@repair_options)}
@@ -59,23 +59,23 @@ defmodule Situ.Store.Mending do
 
     with {:ok, folder} <- find_to_repair(path, opts[:dry_run]),
          {:ok, opts} <- Situ.Options.validate(opts, @repair_options),
-         {:ok, {kept, dropped, recovered, doubtful, rebuilt?, damage}} <-
+         {:ok, {kept, dropped, recovered, unconfirmed, rebuilt?, damage}} <-
            folder |> mend(opts[:dry_run], progress(opts)) |> Failure.wrap(folder) do
       {:ok,
        %{
          kept: kept,
          dropped: dropped,
          recovered: recovered,
-         doubtful: doubtful,
+         unconfirmed: unconfirmed,
          rebuilt?: rebuilt?,
          damage: places(damage)
        }}
     end
   end
 
-  # A compaction that was killed in the middle may have left the store without its name.
+  # A killed compaction may have left the store under another name.
   defp find_to_repair(path, dry?) do
-    case {Folder.resolve(path), Replacement.interrupted(path)} do
+    case {Folder.resolve(path), Replacement.find_interrupted(path)} do
       {nil, nil} -> {:ok, path}
       {nil, folder} when dry? == true -> {:error, Failure.error(:compaction_interrupted, folder)}
       {nil, folder} -> with(:ok <- Replacement.restore(folder), do: {:ok, folder})
@@ -118,7 +118,7 @@ defmodule Situ.Store.Mending do
   def rename(path, name) do
     with {:ok, folder} <- resolve(path),
          :ok <- idle(folder),
-         do: Folder.place(folder, name, Path.dirname(folder))
+         do: Folder.place_version(folder, name, Path.dirname(folder))
   end
 
   defp resolve(path) do

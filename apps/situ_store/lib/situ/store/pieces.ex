@@ -6,10 +6,10 @@ defmodule Situ.Store.Pieces do
   #
   # Streams do not run abreast: the piece before the newest stays open for those that are behind. A message later still
   # goes into the oldest open one. Pieces that `keep:` has no room for are deleted, the oldest first: those made here
-  # and those that earlier runs of the recorder left (`Situ.Store.Pieces.Earlier`), and nothing else of that name.
+  # and those of earlier runs of the recorder (`Situ.Store.Pieces.EarlierRuns`), but no other recording of that name.
   use GenServer
   alias Situ.Store.{Folder, Mending, Writer}
-  alias Situ.Store.Pieces.{Cut, Earlier, Retention}
+  alias Situ.Store.Pieces.{Cut, EarlierRuns, Retention}
   require Logger
 
   @type keep :: nil | {:span, Situ.Time.duration()} | {:bytes, pos_integer()}
@@ -62,7 +62,7 @@ defmodule Situ.Store.Pieces do
   def handle_continue(:find_earlier, %{keep: nil} = state), do: {:noreply, state}
 
   def handle_continue(:find_earlier, state) do
-    earlier = Earlier.list(state.name, state.root, now(), Situ.Time.now())
+    earlier = EarlierRuns.list_pieces(state.name, state.root, now(), Situ.Time.now())
     {:noreply, %{state | closed: earlier}}
   end
 
@@ -88,11 +88,11 @@ defmodule Situ.Store.Pieces do
     newest = Cut.newest(state.cut)
 
     cond do
-      # Behind all streams, so that what is in a piece is earlier than the next.
+      # After the latest message of all streams, so that everything in a piece is earlier than the next piece.
       number == newest and bytes >= most ->
         Cut.cut(state.cut, state.ended[number])
 
-      # One stream's times were far ahead of the others', which keep on filling the piece that was to end.
+      # One stream's times are far ahead of the others', which keep filling the piece that should have ended.
       number == newest - 1 and bytes >= most + div(most, 4) ->
         Cut.lower(state.cut, time + 1)
 
@@ -128,13 +128,13 @@ defmodule Situ.Store.Pieces do
       piece = %{
         writer: writer,
         path: writer.path,
-        # One that a stream has jumped to is not known to be whole before another one follows it.
+        # A piece that a stream has jumped to may be incomplete until another piece follows it.
         duration: if(jump?, do: 0, else: every),
         ended: nil,
         size: 0
       }
 
-      open = state.open |> followed(number - 1, every) |> Map.put(number, piece)
+      open = state.open |> put_duration(number - 1, every) |> Map.put(number, piece)
       jumped = if jump? and number > newest(state.open), do: {number, stream}, else: state.jumped
       {:ok, %{state | open: open, jumped: jumped}}
     end
@@ -142,10 +142,10 @@ defmodule Situ.Store.Pieces do
 
   defp newest(open), do: open |> Map.keys() |> Enum.max()
 
-  defp followed(open, number, every) when is_map_key(open, number),
+  defp put_duration(open, number, every) when is_map_key(open, number),
     do: put_in(open[number].duration, every)
 
-  defp followed(open, _number, _every), do: open
+  defp put_duration(open, _number, _every), do: open
 
   defp stream_of(%{streams: streams} = state, number, name, _opts)
        when is_map_key(streams, {number, name}),
@@ -164,7 +164,7 @@ defmodule Situ.Store.Pieces do
 
   defp close_piece(number, state) do
     {%{writer: writer} = piece, open} = Map.pop(state.open, number)
-    # Whether it says so only matters to how much of the recording later runs keep.
+    # A failure here only changes how much of the recording later runs keep.
     _ = if piece.duration != 0, do: Writer.catalog(writer, %{kind: "piece", full: true})
     _ = Writer.close(writer)
 
@@ -186,23 +186,23 @@ defmodule Situ.Store.Pieces do
           do: %{piece | size: Folder.size(piece.path)}
 
     {surplus, closed} =
-      Enum.split(state.closed, Retention.surplus(state.keep, state.closed, open, now()))
+      Enum.split(state.closed, Retention.count_surplus(state.keep, state.closed, open, now()))
 
-    # One that cannot be deleted (another program writes it) is left, and tried again by the next run.
+    # A piece that cannot be deleted, because another program writes it, is left to the next run.
     for piece <- surplus, do: Mending.delete(piece.path)
     %{state | closed: closed}
   end
 
   defp now, do: System.monotonic_time(:nanosecond)
 
-  # The others go on below a piece that one stream has jumped to: that one's clock is likely wrong, or it goes on where
-  # another recording was. A gap of all streams looks different.
+  # Other streams still fill pieces before the one that a stream has jumped to, so its clock is likely wrong. After a
+  # gap of all streams they would not.
   defp warn_of_jump(%{jumped: {jumped, name}, cut: %{every: every}} = state, number, other)
        when number < jumped and not is_map_key(state.open, number) and other != name do
     Logger.warning(
       "#{state.name}: #{inspect(name)} is #{Situ.Time.format_duration((jumped - number) * every)} " <>
-        "ahead of #{inspect(other)}: the originating times of one of them are likely wrong. All is recorded, and " <>
-        "`keep:` deletes nothing because of it."
+        "ahead of #{inspect(other)}: the originating times of one of them are likely wrong. Everything is recorded, " <>
+        "and `keep:` deletes nothing because of it."
     )
 
     %{state | jumped: nil}

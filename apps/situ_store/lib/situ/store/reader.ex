@@ -34,8 +34,8 @@ defmodule Situ.Store.Reader do
   """
   @callback info(state()) :: map()
   @doc """
-  The options that a recording is opened with when it is copied into a store, so that nothing of it is lost; `times` is
-  `:header` or `:record`.
+  The options for opening a recording that is copied into a store, so that nothing of it is lost. `times` chooses
+  between the stamps in headers and the times of recording.
   """
   @callback import_options(times :: :header | :record) :: keyword()
   @doc "The streams there are now."

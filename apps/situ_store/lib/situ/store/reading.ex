@@ -105,13 +105,13 @@ defmodule Situ.Store.Reading do
   defp find_folder(path, folder) do
     case {Formats.for_folder(path), folder} do
       {{module, path}, _} -> {:ok, path, module}
-      {nil, nil} -> {:error, none_at(path)}
+      {nil, nil} -> {:error, no_store_error(path)}
       {nil, folder} -> {:ok, folder, Local}
     end
   end
 
-  defp none_at(path) do
-    case Replacement.interrupted(path) do
+  defp no_store_error(path) do
+    case Replacement.find_interrupted(path) do
       nil -> Failure.error(:no_store, path)
       folder -> Failure.error(:compaction_interrupted, folder)
     end

@@ -1,8 +1,9 @@
 defmodule Situ.Store.Replacement do
   @moduledoc false
-  # A store in the place of another. The two folders exchange their names in one step, where the file system can do
-  # that. Where it cannot (some of networks), there is a moment in which the old one is called NAME.before-compaction
-  # and nothing has its name: `interrupted/1` finds what a program that was killed then has left, `restore/1` mends it.
+  # Replaces a store by another. The two folders exchange their names in one step, if the file system can do that. On
+  # one that cannot, such as some network file systems, the old store is called NAME.before-compaction for a moment in
+  # which nothing has its name. `find_interrupted/1` finds a store that a killed program left so, `restore/1`
+  # repairs it.
   alias Situ.Error
   alias Situ.Store.{AtomicFile, Failure, Folder, Native}
 
@@ -10,7 +11,7 @@ defmodule Situ.Store.Replacement do
   # Earlier releases kept the new store under this name.
   @compacted ".compacted"
 
-  @doc "Gives `fresh`, whole and on the disk, the name and mode of the store `folder`, which is deleted then."
+  @doc "Gives `fresh`, which is complete and on the disk, the name and mode of the store `folder`, then deletes it."
   @spec put(Path.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def put(fresh, folder) do
     with :ok <- Folder.keep_mode(fresh, folder),
@@ -21,7 +22,7 @@ defmodule Situ.Store.Replacement do
     end
   end
 
-  # Someone's notes beside the recording.
+  # A user's notes may be in the folder, too.
   defp keep_others(old, folder) do
     with {:ok, names} <- File.ls(old) do
       for name <- names, not File.exists?(Path.join(folder, name)) do
@@ -46,8 +47,7 @@ defmodule Situ.Store.Replacement do
     end
   end
 
-  @doc false
-  # Where names cannot be exchanged.
+  @doc "Replaces `folder` by two renames, on file systems that cannot exchange names. Returns the old store's new path."
   @spec rename_both(Path.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def rename_both(fresh, folder) do
     with :ok <- AtomicFile.rename(folder, folder <> @before),
@@ -60,36 +60,38 @@ defmodule Situ.Store.Replacement do
     end
   end
 
-  @doc "The store (by the name it is to have) whose replacement was interrupted: `path`, or the newest version of it."
-  @spec interrupted(Path.t()) :: Path.t() | nil
-  def interrupted(path) do
+  @doc "Returns the store whose replacement was interrupted, by its proper name: `path`, or the newest version of it."
+  @spec find_interrupted(Path.t()) :: Path.t() | nil
+  def find_interrupted(path) do
     [path | versions(Path.dirname(path), Path.basename(path))]
     |> Enum.find(&(File.dir?(&1 <> @before) and not File.exists?(&1)))
   end
 
   defp versions(root, name) do
-    with {:ok, entries} <- File.ls(root) do
-      for entry <- Enum.sort(entries, :desc),
-          String.starts_with?(entry, name <> ".") and String.ends_with?(entry, @before),
-          version = binary_part(entry, 0, byte_size(entry) - byte_size(@before)),
-          Regex.match?(~r/\.\d{4,}\z/, version),
-          do: Path.join(root, version)
-    else
-      {:error, _} -> []
+    case File.ls(root) do
+      {:ok, entries} ->
+        for entry <- Enum.sort(entries, :desc),
+            String.ends_with?(entry, @before),
+            version = String.replace_suffix(entry, @before, ""),
+            Folder.version(version) != nil and Folder.name(version) == name,
+            do: Path.join(root, version)
+
+      {:error, _} ->
+        []
     end
   end
 
-  @doc "Gives the store its name back."
+  @doc "Gives the store its proper name again."
   @spec restore(Path.t()) :: :ok | {:error, Error.t()}
   def restore(folder) do
     case AtomicFile.rename(folder <> @before, folder) do
       :ok ->
-        # A copy, whole or not, of what has its name again.
+        # A copy of the store, complete or not.
         _ = if File.dir?(folder <> @compacted), do: Folder.remove(folder <> @compacted)
         :ok
 
       {:error, reason} ->
-        {:error, Folder.io_error("give #{folder} its name back", reason)}
+        {:error, Folder.io_error("rename #{folder}#{@before} back", reason)}
     end
   end
 end

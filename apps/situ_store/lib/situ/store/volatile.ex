@@ -20,7 +20,7 @@ defmodule Situ.Store.Volatile do
   @doc "The newest store in memory of this name, in any running system, or `nil`."
   @spec find(String.t()) :: Path.t() | nil
   def find(name) do
-    # A folder of that name that another user has put there is not looked into.
+    # Another user may have made a folder of that name: it is not searched.
     folders = if Scratch.claim(base()) == :ok, do: Path.wildcard(Path.join(base(), "*")), else: []
 
     folders

@@ -105,7 +105,7 @@ defmodule Situ.Store.Writer do
              opts[:mode]
            )
            |> Failure.wrap(path) do
-      # Messages that are on the disk are to be found there, too.
+      # Messages on the disk can only be found if the folder's name is there, too.
       if opts[:durability] != :none, do: AtomicFile.sync_folder(Path.dirname(path))
       writer = %__MODULE__{ref: ref, path: path, name: name}
       record = %{kind: "store", name: name, writer: "situ 0.1.0", volatile: opts[:volatile]}

@@ -71,7 +71,7 @@ defmodule Situ.Store.MendingTest do
 
       read = path |> data("N") |> length()
       assert {:ok, report} = Store.repair(path)
-      assert report.dropped == 0 and report.doubtful == 0
+      assert report.dropped == 0 and report.unconfirmed == 0
       assert read == 230 or (report.recovered > 0 and report.damage != [])
       assert data(path, "N") == Enum.to_list(1..230)
       assert {:ok, %{damage: []}} = Store.verify(path)

@@ -1,5 +1,5 @@
 defmodule Situ.Store.ReplacementTest do
-  # A compaction killed at any of its steps: the recording is there under its name, or repair gives it back.
+  # Wherever a compaction is killed, the recording has its name, or repair restores it.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Record
   alias Situ.Store
@@ -17,7 +17,7 @@ defmodule Situ.Store.ReplacementTest do
 
   test "killed while the new store is written, or before the names are exchanged", ctx do
     test = self()
-    writing = fn _, _ -> send(test, :writing) && Process.sleep(:infinity) end
+    writing = fn _, _ -> send(test, :writing) && receive(do: (:never -> :ok)) end
     {pid, monitor} = spawn_monitor(fn -> Store.compact(ctx.path, progress: writing) end)
     assert_receive :writing, 30_000
     Process.exit(pid, :kill)
@@ -26,7 +26,7 @@ defmodule Situ.Store.ReplacementTest do
     assert Store.list(ctx.root) == [ctx.path]
   end
 
-  test "killed after the exchange: the old store lies there as something unfinished", ctx do
+  test "killed after the exchange: the old store is left as an unfinished one", ctx do
     {:ok, old} = Store.copy(ctx.path, {"old", ctx.root})
     left = Path.join(ctx.root, "#{Store.Folder.name(ctx.path)}.4711-1.unfinished")
     File.rename!(old, left)
@@ -60,7 +60,7 @@ defmodule Situ.Store.ReplacementTest do
     assert {:ok, old} = Replacement.rename_both(fresh, path)
     assert old == path <> ".before-compaction" and File.dir?(old)
     assert data(path) == Enum.to_list(1..50)
-    assert Replacement.interrupted(path) == nil
+    assert Replacement.find_interrupted(path) == nil
   end
 
   test "two renames of which the second fails leave all as it was", %{path: path} do
@@ -68,7 +68,7 @@ defmodule Situ.Store.ReplacementTest do
     assert data(path) == Enum.to_list(1..50)
   end
 
-  test "what lies beside the recording stays beside it", %{path: path} do
+  test "other files in the folder of the recording stay there", %{path: path} do
     File.write!(Path.join(path, "notes.txt"), "mine")
     assert {:ok, ^path} = Store.compact(path)
     assert File.read!(Path.join(path, "notes.txt")) == "mine"

@@ -71,9 +71,9 @@ defmodule Situ.CLI.Store.Arguments do
   def times(opts),
     do: Keyword.take(opts, [:from, :to])
 
-  @doc "`--start` and `--length` as `from:` and `to:`. Raises where the interval ends before it begins."
-  @spec absolute!(Path.t(), keyword()) :: keyword()
-  def absolute!(path, opts) do
+  @doc "Converts `--start` and `--length` to `from:` and `to:`. Raises if the interval ends before it begins."
+  @spec absolute_interval!(Path.t(), keyword()) :: keyword()
+  def absolute_interval!(path, opts) do
     {first, _last} = path |> Recording.open!() |> Store.interval() || {0, 0}
     from = opts[:from] || first + (opts[:start] || 0)
     to = opts[:to] || (opts[:length] && from + opts[:length])

@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Store.Care do
-  @moduledoc "The verbs of `situ store` that look after a store where it lies: verify, repair, compact, delete, rename."
+  @moduledoc "The verbs of `situ store` that work on a store in its place: verify, repair, compact, delete, rename."
   @behaviour Situ.CLI.Verb
-  alias Situ.CLI.{Leftovers, Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}
   alias Situ.CLI.Store.{Arguments, Health}
   alias Situ.Store
 
@@ -23,8 +23,8 @@ defmodule Situ.CLI.Store.Care do
         aliases: ["recover", "reindex"],
         summary: "repair a store that was not closed, or is damaged; sound data stays",
         about: """
-        A store is repaired where it lies. An MCAP file is left as it is: what can be read of it, in front of damage and
-        behind it, goes byte for byte into OUT, which has an index.
+        A store is repaired in its place. An MCAP file stays as it is: all messages that can be read, before and after
+        the damage, are copied byte for byte into OUT, which has an index.
         """,
         arguments: [
           path: @store,
@@ -39,11 +39,11 @@ defmodule Situ.CLI.Store.Care do
       },
       %Verb{
         words: ["store", "compact"],
-        summary: "rewrite a store in its place: full chunks of many small commits, no holes",
+        summary: "rewrite a store in its place, with full chunks instead of many small commits",
         about: """
-        The recording is smaller and faster to read then; its messages stay as they are. It has its name at every
-        moment, so that a program killed meanwhile loses nothing. The disk needs room for a second one. A store that is
-        being written is refused.
+        The recording becomes smaller and faster to read; its messages stay as they are. It keeps its name all the time,
+        so nothing is lost if the program is killed. The disk needs room for a second copy. A store that is being
+        written is refused.
         """,
         arguments: [path: Keyword.put(@store, :many, true)],
         options: [
@@ -78,7 +78,7 @@ defmodule Situ.CLI.Store.Care do
     done =
       for path <- paths do
         folder = folder!(path)
-        Leftovers.remove_later(folder)
+        UnfinishedOutput.remove_store_at_exit(folder)
         before = Recording.size(folder)
         copying = Arguments.copying(opts, fn _, _ -> :ok end)
 
@@ -89,11 +89,11 @@ defmodule Situ.CLI.Store.Care do
         %{path: folder, before: before, size: Recording.size(folder)}
       end
 
-    if opts[:json], do: Output.json(done), else: Enum.each(done, &tell_compacted/1)
+    if opts[:json], do: Output.json(done), else: Enum.each(done, &print_compacted/1)
     0
   end
 
-  defp tell_compacted(%{path: path, before: before, size: size}),
+  defp print_compacted(%{path: path, before: before, size: size}),
     do: Output.puts("#{path}: #{Output.bytes(before)} before, #{Output.bytes(size)} now")
 
   defp rename(%{path: path, name: name}, opts) do

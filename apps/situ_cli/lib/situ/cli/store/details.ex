@@ -63,8 +63,8 @@ defmodule Situ.CLI.Store.Details do
 
   defp size(store, info) do
     if known?(store, info, info.size) or known?(store, info, info.stored) do
-      "#{bytes(store, info, info.size)}, #{bytes(store, info, StreamInfo.average_size(info))} each; " <>
-        "#{bytes(store, info, info.stored)} on disk"
+      "#{format_bytes(store, info, info.size)}, #{format_bytes(store, info, StreamInfo.average_size(info))} each; " <>
+        "#{format_bytes(store, info, info.stored)} on disk"
     else
       "unknown"
     end
@@ -78,18 +78,18 @@ defmodule Situ.CLI.Store.Details do
     end
   end
 
-  # Readers of other systems' files that know no sizes or creation times leave them at nothing.
+  # Readers of other systems' files leave sizes and creation times that they do not know at 0 or nil.
   defp known?(%{module: Store.Local}, _info, _value), do: true
   defp known?(_foreign, %{count: 0}, _value), do: true
   defp known?(_foreign, _info, value), do: value not in [nil, 0, 0.0]
 
-  @doc "A size in words, or `-` where the reader does not know it."
-  @spec bytes(Store.Handle.t(), StreamInfo.t(), number() | nil) :: String.t()
-  def bytes(store, info, size) do
+  @doc "Formats a size, as `-` if the reader does not know it."
+  @spec format_bytes(Store.Handle.t(), StreamInfo.t(), number() | nil) :: String.t()
+  def format_bytes(store, info, size) do
     if known?(store, info, size), do: Output.bytes(round(size || 0)), else: "-"
   end
 
-  defp or_nil(store, info, value), do: if(known?(store, info, value), do: value)
+  defp nil_if_unknown(store, info, value), do: if(known?(store, info, value), do: value)
 
   defp stored(info) do
     lane = if info.large?, do: "each message by itself", else: "in chunks"
@@ -97,7 +97,7 @@ defmodule Situ.CLI.Store.Details do
     "#{lane}, compression #{info.compression}#{codecs}"
   end
 
-  @doc "For programs; what is not known is `nil`."
+  @doc "Returns the stream for programs. Unknown values are `nil`."
   @spec json(Store.Handle.t(), StreamInfo.t()) :: map()
   def json(store, info) do
     info
@@ -105,16 +105,16 @@ defmodule Situ.CLI.Store.Details do
     |> Map.merge(Map.take(info, [:first_creation, :last_creation, :opened, :closed]))
     |> Map.merge(Map.take(info, [:compression, :fields]))
     |> Map.merge(%{
-      size: or_nil(store, info, info.size),
-      stored: or_nil(store, info, info.stored),
-      latency_sum: or_nil(store, info, info.latency_sum),
+      size: nil_if_unknown(store, info, info.size),
+      stored: nil_if_unknown(store, info, info.stored),
+      latency_sum: nil_if_unknown(store, info, info.latency_sum),
       type: info.type_name,
       large: info.large?,
       codecs: for({_, {name, _}} <- info.codecs, do: name),
       metadata: metadata(info),
       rate: StreamInfo.rate(info),
-      average_size: or_nil(store, info, StreamInfo.average_size(info)),
-      average_latency: or_nil(store, info, StreamInfo.average_latency(info))
+      average_size: nil_if_unknown(store, info, StreamInfo.average_size(info)),
+      average_latency: nil_if_unknown(store, info, StreamInfo.average_latency(info))
     })
   end
 
@@ -138,8 +138,8 @@ defmodule Situ.CLI.Store.Details do
   end
 
   @doc """
-  The average latency. Of a replay that ran as fast as it could it means nothing: messages are created before they
-  happened.
+  Formats the average latency. It means nothing for a replay that ran as fast as it could, whose messages were created
+  before they happened.
   """
   @spec latency(Store.Handle.t(), StreamInfo.t()) :: String.t()
   def latency(store, info) do
@@ -152,10 +152,10 @@ defmodule Situ.CLI.Store.Details do
     end
   end
 
-  # Clocks of computers that are not set begin at 1970, as replays without a date do.
-  @real 946_684_800_000_000_000
+  # Clocks that are not set begin at 1970, and so do replays without a date.
+  @first_real 946_684_800_000_000_000
 
-  @doc "Whether a time can be one that a computer's clock has shown: after 2000."
+  @doc "Whether a time can have come from a clock that was set: it is after 2000."
   @spec real_time?(Time.t()) :: boolean()
-  def real_time?(time), do: time >= @real
+  def real_time?(time), do: time >= @first_real
 end

@@ -35,7 +35,7 @@ defmodule Situ.CLI.Store.Health do
   defp text(prefix, path, {:ok, %{messages: _, damage: damage}}) do
     Output.puts(prefix <> "DAMAGED")
     for %{why: why} <- damage, do: Output.puts("  " <> why)
-    Output.puts(foreign(path, nil).fix)
+    Output.puts(foreign_error(path, nil).fix)
   end
 
   defp text(prefix, path, {:ok, %{damage: damage}}) do
@@ -75,10 +75,10 @@ defmodule Situ.CLI.Store.Health do
         recover(path, out, opts)
 
       File.regular?(path) ->
-        raise foreign(path, out)
+        raise foreign_error(path, out)
 
       out != nil ->
-        raise in_place(path)
+        raise in_place_error(path)
 
       true ->
         repair(path, opts)
@@ -87,7 +87,7 @@ defmodule Situ.CLI.Store.Health do
 
   defp mcap?(path), do: Saving.format(path) == :mcap
 
-  defp foreign(path, out) do
+  defp foreign_error(path, out) do
     fix =
       cond do
         not mcap?(path) ->
@@ -103,19 +103,19 @@ defmodule Situ.CLI.Store.Health do
     Error.new(:not_a_store, "#{path} is a foreign file, which is left as it is", fix: fix)
   end
 
-  defp in_place(path) do
-    Error.new(:not_a_file, "#{path} is a store, which is repaired where it lies",
+  defp in_place_error(path) do
+    Error.new(:not_a_file, "#{path} is a store, which is repaired in its place",
       why: "only an MCAP file is recovered into another file",
       fix: "`situ store repair '#{path}'`, or copy it first"
     )
   end
 
   defp recover(path, out, opts) do
-    if opts[:dry_run],
-      do:
-        throw(
-          {:usage, "--dry-run is of stores; `situ store verify '#{path}'` tells what is damaged"}
-        )
+    if opts[:dry_run] do
+      throw(
+        {:usage, "--dry-run is only for stores; `situ store verify '#{path}'` shows the damage"}
+      )
+    end
 
     Saving.save(%{path: path, file: out}, [{:skip_damage, true} | opts])
   end
@@ -136,16 +136,16 @@ defmodule Situ.CLI.Store.Health do
       )
 
       places(report.damage)
-      if report.doubtful > 0, do: Output.puts(doubt(report.doubtful))
+      if report.unconfirmed > 0, do: Output.puts(describe_unconfirmed(report.unconfirmed))
       Output.puts(done(report, dry?))
     end
 
     0
   end
 
-  defp doubt(n) do
-    "#{Output.number(n, "chunk")} at the end left out: sound, but the index that would say whether its writer had " <>
-      "acknowledged it is lost."
+  defp describe_unconfirmed(n) do
+    "#{Output.number(n, "chunk")} at the end left out. Its data is sound, but the index is lost that would show " <>
+      "whether the writer had acknowledged it."
   end
 
   defp done(_report, true), do: "Nothing was changed (--dry-run)."

@@ -2,7 +2,7 @@ defmodule Situ.CLI.Store.Importing do
   @moduledoc "`situ store import` and `convert`: any file that is read into a store, or into any that is written."
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.Tables
-  alias Situ.CLI.{Input, Leftovers, Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.{Input, Option, Output, Progress, Recording, UnfinishedOutput, Verb}
   alias Situ.CLI.Store.{Arguments, Protobuf, Saving}
   alias Situ.{Error, Store}
 
@@ -93,13 +93,13 @@ defmodule Situ.CLI.Store.Importing do
       Option.new(
         :times,
         ["header", "record"],
-        "of bags and MCAP files: originating times are the stamps of headers (default), or the times of recording"
+        "for bags and MCAP files: take originating times from headers (default), or use the times of recording"
       )
     ]
   end
 
   defp import_files(%{path: paths, out: out}, opts) do
-    Leftovers.remove_later(out)
+    UnfinishedOutput.remove_store_at_exit(out)
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
     paths = Recording.expand(paths)
     forced = opts[:format] && @formats[opts[:format]]
@@ -155,7 +155,7 @@ defmodule Situ.CLI.Store.Importing do
 
   defp imported(named, out), do: import_named(named, out)
 
-  # Names what a table leaves out to whoever imports it.
+  # Warns about columns that a table cannot keep.
   defp import_named(named, out), do: Tables.import(named, out, notice: &Output.warn/1)
 
   defp recordings(paths, out, opts) do

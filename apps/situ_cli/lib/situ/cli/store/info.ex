@@ -20,8 +20,8 @@ defmodule Situ.CLI.Store.Info do
   defp folder?(path),
     do: File.dir?(path) and not Store.exists?(path)
 
-  # Recordings that cannot be read are listed as errors; the others are described. One that is the only one asked for is
-  # an error of the command.
+  # Recordings that cannot be read are listed as errors. If the only recording asked for cannot be read, the command
+  # fails.
   defp list(paths, opts) do
     stores =
       Enum.flat_map(paths, &if(folder?(&1), do: Store.list(&1, recursive: true), else: [&1]))
@@ -98,22 +98,19 @@ defmodule Situ.CLI.Store.Info do
     end
   end
 
-  # A recording that is cut as it goes opens by the newest of its pieces.
+  # The name of a recording in pieces opens the newest of them.
   defp pieces(store, %{piece: %{}, name: name}) do
     root = Path.dirname(store.path)
-    others = Enum.count(Store.list(root), &of_name?(&1, name)) - 1
+    count = Enum.count(Store.list(root), &(Store.Folder.name(&1) == name))
 
-    if others > 0,
+    if count > 1,
       do: [
-        "one piece of a recording, beside #{Output.number(others, "other")}: " <>
-          "`situ store info '#{Path.join(root, name)}.*'`"
+        "one of #{count} pieces of a recording: `situ store info '#{Path.join(root, name)}.*'`"
       ],
       else: []
   end
 
   defp pieces(_store, _info), do: []
-
-  defp of_name?(path, name), do: String.replace(Path.basename(path), ~r/\.\d{4,}$/, "") == name
 
   # Facts that files of other systems hold about themselves.
   defp foreign(store, info) do
@@ -171,8 +168,8 @@ defmodule Situ.CLI.Store.Info do
       info.type_name,
       Integer.to_string(info.count),
       Details.rate(info),
-      Details.bytes(store, info, info.stored),
-      Details.bytes(store, info, StreamInfo.average_size(info)),
+      Details.format_bytes(store, info, info.stored),
+      Details.format_bytes(store, info, StreamInfo.average_size(info)),
       Details.latency(store, info),
       gaps(store, info)
     ]

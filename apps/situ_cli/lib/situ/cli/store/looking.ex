@@ -19,8 +19,8 @@ defmodule Situ.CLI.Store.Looking do
         summary: "list the streams of a recording: types, rates, gaps, sizes, latency",
         about: """
         Of several recordings, or of a folder of recordings, a line each. The gaps are those between chunks of the file;
-        `situ store stats` looks at every message. --json is a list of recordings in any case, of one recording, too;
-        with --stream it is that stream.
+        `situ store stats` looks at every message. --json prints a list of recordings, even of a single one;
+        with --stream it prints that stream.
         """,
         arguments: [path: Keyword.put(@recording, :many, true)],
         options: [
@@ -49,7 +49,7 @@ defmodule Situ.CLI.Store.Looking do
           Option.new(
             :stream,
             :string,
-            "this stream, or a pattern ('Room.*'); of several, or of all without it, in the order of time",
+            "a stream, or a pattern ('Room.*'); default: all. Messages come in the order of time",
             short: :s,
             value: "NAME",
             many?: true

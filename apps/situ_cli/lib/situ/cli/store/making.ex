@@ -3,7 +3,7 @@ defmodule Situ.CLI.Store.Making do
   The verbs of `situ store` that make a new recording out of others: copy, crop, concat, split, remove, edit.
   """
   @behaviour Situ.CLI.Verb
-  alias Situ.CLI.{Leftovers, Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}
   alias Situ.CLI.Store.{Arguments, Saving}
   alias Situ.{Error, Store}
 
@@ -13,8 +13,8 @@ defmodule Situ.CLI.Store.Making do
   ]
   @new [kind: :new, doc: "ROOT/NAME of the new store; it becomes NAME.NNNN"]
   @about """
-  The original is never changed. The new store has its name when it is whole and on the disk; stopped half way (Ctrl-C),
-  nothing of it is left.
+  The original is never changed. The new store gets its name when it is complete and on the disk; stopped half way
+  (Ctrl-C), nothing is left.
   """
 
   @new_file [kind: :new, doc: "ROOT/NAME of the new store, or a file (.mcap, .bag, .csv ...)"]
@@ -46,7 +46,7 @@ defmodule Situ.CLI.Store.Making do
           options: Arguments.streams() ++ interval() ++ storing(),
           examples: ["situ store concat monday tuesday week"],
           run: fn %{path: paths, out: out}, opts ->
-            store!("concat", out)
+            check_store!("concat", out)
             paths = Recording.expand(paths)
             made(paths, out, opts, &Store.concat(paths, out, copying(opts, &1)))
           end
@@ -126,24 +126,24 @@ defmodule Situ.CLI.Store.Making do
       arguments: [path: @recording, out: @new_file],
       options: Arguments.streams() ++ interval() ++ storing(),
       examples: examples,
-      run: fn arguments, opts -> copy(arguments, defaults(word, opts)) end
+      run: fn arguments, opts -> copy(arguments, put_defaults(word, opts)) end
     }
   end
 
-  defp defaults("compress", opts), do: Keyword.put_new(opts, :compression, "zstd")
-  defp defaults("decompress", opts), do: Keyword.put_new(opts, :compression, "none")
-  defp defaults("sort", opts), do: Keyword.put(opts, :order, :time)
-  defp defaults("copy", opts), do: opts
+  defp put_defaults("compress", opts), do: Keyword.put_new(opts, :compression, "zstd")
+  defp put_defaults("decompress", opts), do: Keyword.put_new(opts, :compression, "none")
+  defp put_defaults("sort", opts), do: Keyword.put(opts, :order, :time)
+  defp put_defaults("copy", opts), do: opts
 
-  # A file named like one of another kind is one of that kind, as with `situ store save`.
+  # The extension of a file chooses its format, as with `situ store save`.
   defp copy(%{path: path, out: out}, opts) do
     if Saving.format(out),
       do: Saving.save(%{path: path, file: out}, opts),
       else: made([path], out, opts, &Store.copy(path, out, copying(opts, &1)))
   end
 
-  # These put together what only stores can hold.
-  defp store!(verb, out) do
+  # Some verbs make only stores.
+  defp check_store!(verb, out) do
     if Saving.format(out) do
       raise Error.new(
               :not_a_store,
@@ -179,13 +179,13 @@ defmodule Situ.CLI.Store.Making do
       do: throw({:usage, "to what? Give --start and --length, or --from and --to"})
 
     if Saving.format(out),
-      do: Saving.save(%{path: path, file: out}, Arguments.absolute!(path, opts)),
+      do: Saving.save(%{path: path, file: out}, Arguments.absolute_interval!(path, opts)),
       else: made([path], out, opts, &Store.crop(path, out, copying(opts, &1)))
   end
 
   defp made(paths, out, opts, make) do
     Recording.ready(paths)
-    Leftovers.remove_later(out)
+    UnfinishedOutput.remove_store_at_exit(out)
     path = Progress.show("write", opts, fn progress -> ok!(make.(progress)) end)
     if opts[:json], do: Output.json(%{path: path}), else: Output.puts(path)
     0
@@ -193,7 +193,7 @@ defmodule Situ.CLI.Store.Making do
 
   defp split(%{path: path, out: out}, opts) do
     every = opts[:every] || throw({:usage, "into which lengths? Give --every SPAN"})
-    store!("split", out)
+    check_store!("split", out)
     if every <= 0, do: throw({:usage, "--every is more than nothing"})
     store = Recording.open!(path)
 
@@ -210,13 +210,13 @@ defmodule Situ.CLI.Store.Making do
   defp parts(path, out, {first, last, every}, opts) do
     for {from, n} <- Enum.with_index(first..last//every, 1),
         name = "#{out}-#{n |> Integer.to_string() |> String.pad_leading(3, "0")}",
-        made = part(path, name, from: from, to: min(from + every - 1, last), opts: opts),
+        made = make_part(path, name, {from, min(from + every - 1, last)}, opts),
         do: made
   end
 
-  # Of a gap there is no part.
-  defp part(path, name, from: from, to: to, opts: opts) do
-    Leftovers.remove_later(name)
+  # An interval without messages makes no part.
+  defp make_part(path, name, {from, to}, opts) do
+    UnfinishedOutput.remove_store_at_exit(name)
 
     Progress.show(Path.basename(name), opts, fn progress ->
       case Store.copy(path, name, [from: from, to: to] ++ copying(opts, progress)) do
@@ -245,7 +245,7 @@ defmodule Situ.CLI.Store.Making do
   end
 
   defp edit(%{path: path, out: out}, opts) do
-    store!("edit", out)
+    check_store!("edit", out)
 
     case Arguments.edits!(Recording.open!(path), opts) do
       none when none == %{} ->

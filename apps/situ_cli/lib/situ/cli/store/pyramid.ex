@@ -53,7 +53,7 @@ defmodule Situ.CLI.Store.Pyramid do
   defp build(path, opts) do
     copied =
       Progress.show("build", opts, fn progress ->
-        # The bins are to be those that the file itself shows.
+        # The bins must be those of the file itself.
         Store.copy(path, opts[:build], [times: :record] ++ Arguments.copying(opts, progress))
       end)
 

@@ -2,7 +2,7 @@ defmodule Situ.CLI.Store.Saving do
   @moduledoc "`situ store save`: messages to files that other programs read."
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.{Arrow, Format, Mcap, Parquet, Ros}
-  alias Situ.CLI.{Leftovers, Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}
   alias Situ.CLI.Store.{Arguments, Protobuf}
   alias Situ.{Error, Store}
   alias Situ.Store.AtomicFile
@@ -110,7 +110,7 @@ defmodule Situ.CLI.Store.Saving do
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
     store = Recording.open!(path)
     chosen = Arguments.chosen!(store, opts)
-    if file != "-", do: Leftovers.remove_file_later(file)
+    if file != "-", do: UnfinishedOutput.remove_file_at_exit(file)
 
     saved =
       Progress.show("save", opts, fn progress ->
@@ -123,38 +123,38 @@ defmodule Situ.CLI.Store.Saving do
     0
   end
 
-  # An MCAP file of another goes as it is, record by record.
+  # An MCAP file made of another one is copied record by record.
   defp save(:mcap, %{module: Mcap} = store, chosen, file, opts, progress) do
     alone!(opts)
-    whole!(file, :mcap)
+    refuse_stdout!(file, :mcap)
     total = chosen |> Enum.map(& &1.count) |> Enum.sum()
     all? = length(chosen) == length(Store.streams(store))
     names = unless all?, do: Enum.map(chosen, & &1.name)
-    carried = [attachments: opts[:attach] || [], metadata: added(opts)]
+    carried = [attachments: opts[:attach] || [], metadata: given_metadata(opts)]
     written = [progress: &progress.(&1, total)] ++ compression(:mcap, opts[:compression])
     copying = [streams: names] ++ Keyword.take(opts, [:order]) ++ reading(opts)
 
-    copied = whole!(file, &Mcap.copy(store, &1, copying ++ written ++ carried))
+    copied = write_whole!(file, &Mcap.copy(store, &1, copying ++ written ++ carried))
     for sentence <- copied.left_out, do: Output.warn("Left out: " <> sentence)
     Map.put(copied, :streams, length(chosen))
   end
 
   defp save(format, store, chosen, file, opts, progress) when is_map_key(@recordings, format) do
     alone!(opts)
-    whole!(file, format)
+    refuse_stdout!(file, format)
     total = chosen |> Enum.map(& &1.count) |> Enum.sum()
     names = Enum.map(chosen, & &1.name)
     written = [progress: &progress.(&1, total)] ++ compression(format, opts[:compression])
 
     exporting = [streams: names] ++ reading(opts) ++ written ++ carried(format, opts)
 
-    count = whole!(file, &@recordings[format].export(store, &1, exporting))
+    count = write_whole!(file, &@recordings[format].export(store, &1, exporting))
     %{messages: count, streams: length(names)}
   end
 
   defp save(format, store, chosen, file, opts, progress) when is_map_key(@tables, format) do
     [] = carried(format, opts)
-    whole!(file, format)
+    refuse_stdout!(file, format)
     info = if opts[:on], do: stream!(store, opts[:on]), else: one(store, chosen)
     written = [progress: &progress.(&1, info.count)] ++ compression(format, opts[:compression])
     table(opts[:on], @tables[format], {store, info, chosen}, file, opts, reading(opts) ++ written)
@@ -163,7 +163,7 @@ defmodule Situ.CLI.Store.Saving do
   defp save(:protobuf, store, chosen, file, opts, progress) do
     alone!(opts)
     [] = carried(:protobuf, opts) ++ compression(:protobuf, opts[:compression])
-    whole!(file, :protobuf)
+    refuse_stdout!(file, :protobuf)
     Protobuf.save(store, one(store, chosen), file, opts, {reading(opts), progress})
   end
 
@@ -208,7 +208,7 @@ defmodule Situ.CLI.Store.Saving do
   end
 
   defp carried(:mcap, opts),
-    do: [attachments: opts[:attach] || [], metadata: added(opts)]
+    do: [attachments: opts[:attach] || [], metadata: given_metadata(opts)]
 
   defp carried(format, opts) do
     if (opts[:attach] || []) != [] or (opts[:metadata] || []) != [],
@@ -217,7 +217,7 @@ defmodule Situ.CLI.Store.Saving do
     []
   end
 
-  defp added(opts), do: Arguments.records!(opts[:metadata] || [])
+  defp given_metadata(opts), do: Arguments.records!(opts[:metadata] || [])
 
   # A record that cannot be written ends it, and a file that is not whole does not stay.
   defp records(format, part, place, out) do
@@ -253,16 +253,16 @@ defmodule Situ.CLI.Store.Saving do
   end
 
   # These are written with an index at the end, and renamed when they are whole.
-  defp whole!("-", format) when is_atom(format),
+  defp refuse_stdout!("-", format),
     do:
       throw(
         {:usage, "#{format} goes to a file, not to standard output: it is whole at its end only"}
       )
 
-  defp whole!(_file, format) when is_atom(format), do: :ok
+  defp refuse_stdout!(_file, _format), do: :ok
 
-  # Beside the file until it is whole: what stood there may be the very recording that is read.
-  defp whole!(file, write) do
+  # Written next to the file first, since the file may be the very recording that is read.
+  defp write_whole!(file, write) do
     unfinished = file <> ".unfinished"
 
     case write.(unfinished) do
@@ -325,7 +325,7 @@ defmodule Situ.CLI.Store.Saving do
     renamed(path <> ".unfinished", path)
   end
 
-  # On the disk before it has its name: what it was made of may be deleted next.
+  # Synced before it gets its name, since the user may delete the original next.
   defp renamed(unfinished, path) do
     with :ok <- AtomicFile.sync(unfinished), :ok <- AtomicFile.rename(unfinished, path) do
       :ok

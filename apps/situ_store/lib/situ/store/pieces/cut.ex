@@ -40,8 +40,8 @@ defmodule Situ.Store.Pieces.Cut do
   def newest(%{newest: newest}), do: :atomics.get(newest, @number)
 
   @doc """
-  Messages from `time` on belong to the newest piece, if they did not before: the time it begins at may have been a
-  wrong one, by which the piece before it would never end.
+  Moves the beginning of the newest piece back to `time`, if it is later: it may have come from a message with a wrong
+  time, and then the piece before it would never end.
   """
   @spec lower(t(), Situ.Time.t()) :: :ok
   def lower(%{newest: newest}, time) do

@@ -1,12 +1,12 @@
 defmodule Situ.Store.Pieces.Retention do
   @moduledoc false
-  # Which pieces of a recording `keep:` has no room for. Pure. No originating time counts here: a single message with a
-  # wrong one must not delete anything. The amount recorded counts, by the time that pieces are cut at, or the moment a
-  # piece ended by the clock of the computer, which the caller reads.
+  # Which pieces of a recording `keep:` has no room for. Originating times of messages do not count, because a single
+  # wrong one must not delete anything. Pieces cut by time count by their nominal length; for pieces cut by size, the
+  # moment counts at which they ended by the computer's clock, which the caller reads.
 
   @typedoc """
-  A piece, of which `size` is its bytes, `duration` the originating time that it is whole of (ns), and `ended` when the
-  next one was begun by the computer's clock; `nil` of what cannot be known.
+  A piece: its `size` in bytes, its `duration` in ns of originating time, and when it `ended` by the computer's clock.
+  Unknown values are `nil`.
   """
   @type piece :: %{
           size: non_neg_integer(),
@@ -15,28 +15,29 @@ defmodule Situ.Store.Pieces.Retention do
         }
 
   @doc """
-  How many of the oldest pieces are to be deleted. `pieces` are the closed ones, oldest first, and `open` the ones that
-  are being written: they stay, but count. `now` is by the same clock as `ended`.
+  Returns how many of the oldest pieces are to be deleted. `pieces` are the closed ones, oldest first. The `open` ones
+  are still being written: they count, but are not deleted. `now` is by the same clock as `ended`.
   """
-  @spec surplus(Situ.Store.Pieces.keep(), [piece()], [piece()], integer()) :: non_neg_integer()
-  def surplus(nil, _pieces, _open, _now), do: 0
+  @spec count_surplus(Situ.Store.Pieces.keep(), [piece()], [piece()], integer()) ::
+          non_neg_integer()
+  def count_surplus(nil, _pieces, _open, _now), do: 0
 
-  def surplus({:bytes, most}, pieces, open, _now) do
+  def count_surplus({:bytes, most}, pieces, open, _now) do
     pieces
     |> Enum.map(& &1.size)
     |> count_beyond(sum(open, :size), fn newer, size -> newer + size <= most end)
   end
 
-  # Of pieces that are cut by time: the newest is not whole yet and does not count.
-  def surplus({:span, span}, pieces, [%{duration: duration} | _] = open, _now)
+  # Pieces are cut by time here. The newest is incomplete and does not count.
+  def count_surplus({:span, span}, pieces, [%{duration: duration} | _] = open, _now)
       when is_integer(duration) do
     pieces
     |> Enum.map(&(&1.duration || 0))
     |> count_beyond(open |> Enum.drop(-1) |> sum(:duration), fn newer, _ -> newer < span end)
   end
 
-  # One that ended so long ago goes, and with it all that are older, whatever their clock said.
-  def surplus({:span, span}, pieces, _open, now) do
+  # A piece that ended that long ago is deleted, and with it all older ones, whatever the clock showed then.
+  def count_surplus({:span, span}, pieces, _open, now) do
     pieces
     |> Enum.with_index(1)
     |> Enum.filter(fn {piece, _} -> piece.ended != nil and now - piece.ended >= span end)
@@ -46,7 +47,7 @@ defmodule Situ.Store.Pieces.Retention do
 
   defp sum(pieces, key), do: pieces |> Enum.map(& &1[key]) |> Enum.sum()
 
-  # From the newest to the oldest, as long as `room?.(sum_of_newer, this)`.
+  # Goes from the newest to the oldest for as long as `room?.(sum_of_newer, this)` holds.
   defp count_beyond(amounts, start, room?) do
     amounts
     |> Enum.reverse()

@@ -3,37 +3,39 @@ defmodule Situ.Store.Pieces.RetentionTest do
   alias Situ.Store.Pieces.Retention
 
   defp piece(fields), do: Map.merge(%{size: 0, duration: nil, ended: nil}, Map.new(fields))
-  defp surplus(keep, closed, open), do: Retention.surplus(keep, closed, open, 1_000)
+  defp count_surplus(keep, closed, open), do: Retention.count_surplus(keep, closed, open, 1_000)
 
   test "nothing goes without a limit" do
-    assert surplus(nil, [piece(size: 1)], []) == 0
+    assert count_surplus(nil, [piece(size: 1)], []) == 0
   end
 
   test "by bytes: those that are open count, and are never deleted" do
     closed = for size <- [5, 5, 5], do: piece(size: size)
-    assert surplus({:bytes, 100}, closed, [piece(size: 7)]) == 0
-    assert surplus({:bytes, 17}, closed, [piece(size: 7)]) == 1
-    assert surplus({:bytes, 16}, closed, [piece(size: 7)]) == 2
-    assert surplus({:bytes, 1}, closed, [piece(size: 7)]) == 3
+    assert count_surplus({:bytes, 100}, closed, [piece(size: 7)]) == 0
+    assert count_surplus({:bytes, 17}, closed, [piece(size: 7)]) == 1
+    assert count_surplus({:bytes, 16}, closed, [piece(size: 7)]) == 2
+    assert count_surplus({:bytes, 1}, closed, [piece(size: 7)]) == 3
   end
 
   test "by time recorded: whole pieces that add up to the span stay, besides the newest" do
     closed = for _ <- 1..5, do: piece(duration: 10)
     open = [piece(duration: 10), piece(duration: 10)]
-    assert surplus({:span, 30}, closed, open) == 3
-    assert surplus({:span, 31}, closed, open) == 2
+    assert count_surplus({:span, 30}, closed, open) == 3
+    assert count_surplus({:span, 31}, closed, open) == 2
     # Pieces that are not known to be whole make no others go.
     short = for _ <- 1..9, do: piece(duration: 0)
-    assert surplus({:span, 30}, closed ++ short, open) == 3
-    assert surplus({:span, 30}, closed ++ short, [piece(duration: 0), piece(duration: 10)]) == 2
+    assert count_surplus({:span, 30}, closed ++ short, open) == 3
+
+    assert count_surplus({:span, 30}, closed ++ short, [piece(duration: 0), piece(duration: 10)]) ==
+             2
   end
 
   test "by the computer's clock: what ended so long ago goes, with all that is older" do
     closed = for ended <- [nil, 100, 5_000, 700, 900], do: piece(ended: ended)
-    assert surplus({:span, 901}, closed, [piece([])]) == 0
-    assert surplus({:span, 900}, closed, [piece([])]) == 2
-    assert surplus({:span, 300}, closed, [piece([])]) == 4
-    assert surplus({:span, 100}, closed, [piece([])]) == 5
-    assert surplus({:span, 100}, [], [piece([])]) == 0
+    assert count_surplus({:span, 901}, closed, [piece([])]) == 0
+    assert count_surplus({:span, 900}, closed, [piece([])]) == 2
+    assert count_surplus({:span, 300}, closed, [piece([])]) == 4
+    assert count_surplus({:span, 100}, closed, [piece([])]) == 5
+    assert count_surplus({:span, 100}, [], [piece([])]) == 0
   end
 end

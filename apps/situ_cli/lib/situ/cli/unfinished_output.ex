@@ -1,10 +1,10 @@
-defmodule Situ.CLI.Leftovers do
+defmodule Situ.CLI.UnfinishedOutput do
   @moduledoc false
   # Removes the unfinished output of a command that is stopped half way (Ctrl-C, kill). The VM ends at once then and
-  # can't clean up itself, so a small shell waits for its end: it reads from the VM until there is nothing more.
+  # cannot clean up itself, so a small shell waits for its end: it reads from the VM until the pipe is closed.
   alias Situ.Store
 
-  # Files of a store's draft only: somebody's notes stay.
+  # Only the files of a store's draft are deleted, so that a user's notes stay.
   @script """
   trap "" INT TERM HUP QUIT
   while read -r _; do :; done
@@ -18,21 +18,21 @@ defmodule Situ.CLI.Leftovers do
   if [ -n "$3" ]; then rm -f -- "$3"; fi
   """
 
-  @doc "Sees to it that when this program ends nothing unfinished of the store `out` (ROOT/NAME) is left."
-  @spec remove_later(Path.t()) :: :ok
-  def remove_later(out) do
+  @doc "Removes unfinished drafts of the store `out` (ROOT/NAME) when this program ends."
+  @spec remove_store_at_exit(Path.t()) :: :ok
+  def remove_store_at_exit(out) do
     {name, root} = Store.Copying.target(out)
-    start(Path.join(root, name), "")
+    start_shell(Path.join(root, name), "")
   end
 
-  @doc "The same of the file `file`, which is written as FILE.unfinished."
-  @spec remove_file_later(Path.t()) :: :ok
-  def remove_file_later(file) do
+  @doc "Removes FILE.unfinished, as which `file` is written, when this program ends."
+  @spec remove_file_at_exit(Path.t()) :: :ok
+  def remove_file_at_exit(file) do
     file = Path.expand(file)
-    start(file, file <> ".unfinished")
+    start_shell(file, file <> ".unfinished")
   end
 
-  defp start(base, file) do
+  defp start_shell(base, file) do
     with shell when shell != nil <- System.find_executable("sh") do
       args = ["-c", @script, "sh", base, System.pid(), file]
       Port.open({:spawn_executable, shell}, [:binary, args: args])

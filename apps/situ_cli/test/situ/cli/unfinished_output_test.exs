@@ -1,5 +1,5 @@
-defmodule Situ.CLI.LeftoversTest do
-  # A program of its own that is stopped while it makes a store and a file.
+defmodule Situ.CLI.UnfinishedOutputTest do
+  # Another program is stopped while it makes a store and a file.
   use ExUnit.Case, async: true
 
   @moduletag :tmp_dir
@@ -8,19 +8,21 @@ defmodule Situ.CLI.LeftoversTest do
   [root] = System.argv()
   out = Path.join(root, "out")
   file = Path.join(root, "out.csv")
-  :ok = Situ.CLI.Leftovers.remove_later(out)
-  :ok = Situ.CLI.Leftovers.remove_file_later(file)
+  :ok = Situ.CLI.UnfinishedOutput.remove_store_at_exit(out)
+  :ok = Situ.CLI.UnfinishedOutput.remove_file_at_exit(file)
   File.write!(file <> ".unfinished", "half of it")
 
   Situ.Store.Draft.make({"out", root}, [], fn writer ->
     File.write!(Path.join(root, "draft"), writer.path)
     IO.puts("half way")
-    Process.sleep(:infinity)
+    receive do: (:never -> :ok)
   end)
   """
 
   for signal <- ["INT", "KILL"] do
-    test "nothing unfinished is left after SIG#{signal}, and nobody else's", %{tmp_dir: root} do
+    test "nothing unfinished is left after SIG#{signal}, but other programs' drafts are", %{
+      tmp_dir: root
+    } do
       # Of another program that is at work.
       other = Path.join(root, "out.4711-1.unfinished")
       File.mkdir_p!(other)
@@ -33,7 +35,10 @@ defmodule Situ.CLI.LeftoversTest do
       {_, 0} = System.cmd("kill", ["-#{unquote(signal)}", "#{pid}"])
       assert_receive {^program, {:exit_status, status}}, 60_000
       assert status != 0
-      assert await_files(root, ["draft", Path.basename(other), Path.basename(other) <> ".lock"])
+      # The shell that removes them has the program's output, and ends after it.
+      assert_receive {^program, :eof}, 60_000
+      left = ["draft", Path.basename(other), Path.basename(other) <> ".lock"]
+      assert Enum.sort(File.ls!(root)) == Enum.sort(left)
       Situ.Store.FileLock.release(lock)
     end
   end
@@ -43,15 +48,7 @@ defmodule Situ.CLI.LeftoversTest do
     elixir = System.find_executable("elixir")
     # `exec` all the way: the signal reaches the VM.
     args = ["--erl", "+Bd"] ++ paths ++ ["-e", @program, root]
-    Port.open({:spawn_executable, elixir}, [:binary, :exit_status, args: args])
-  end
-
-  # The shell that removes them ends a moment after the program.
-  defp await_files(root, expected) do
-    if Enum.sort(File.ls!(root)) == Enum.sort(expected) do
-      true
-    else
-      receive after: (20 -> await_files(root, expected))
-    end
+    options = [:binary, :exit_status, :eof, :stderr_to_stdout, args: args]
+    Port.open({:spawn_executable, elixir}, options)
   end
 end

@@ -1,11 +1,11 @@
-defmodule Situ.Store.Pieces.Earlier do
+defmodule Situ.Store.Pieces.EarlierRuns do
   @moduledoc false
-  # The pieces that earlier runs of the same recorder left in its folder. A piece says in its catalog that it is one:
-  # any other recording of that name is somebody's, and is neither counted nor deleted.
+  # The pieces that earlier runs of the same recorder left in its folder. A piece is marked in its catalog; any other
+  # recording of that name is neither counted nor deleted.
   alias Situ.Store.{Folder, Reading}
 
-  # Before this a computer's clock was not set: 2020.
-  @set 1_577_836_800_000_000_000
+  # A clock that shows a time before 2020 was not set.
+  @first_set 1_577_836_800_000_000_000
 
   @type piece :: %{
           path: Path.t(),
@@ -15,11 +15,11 @@ defmodule Situ.Store.Pieces.Earlier do
         }
 
   @doc """
-  The pieces of `name` below `root`, oldest first. `ended` is by the monotonic clock, which reads `now` when the
-  computer's reads `wall`; it is `nil` where the computer's clock was not set, or was set back since.
+  Returns the pieces of `name` below `root`, oldest first. `ended` is by the monotonic clock, which reads `now` when the
+  wall clock reads `wall`. It is `nil` if the wall clock was not set then, or was set back since.
   """
-  @spec list(String.t(), Path.t(), integer(), Situ.Time.t()) :: [piece()]
-  def list(name, root, now, wall) do
+  @spec list_pieces(String.t(), Path.t(), integer(), Situ.Time.t()) :: [piece()]
+  def list_pieces(name, root, now, wall) do
     found =
       for path <- Folder.list_versions(name, root),
           {:ok, store} <- [Reading.open(path)],
@@ -34,12 +34,12 @@ defmodule Situ.Store.Pieces.Earlier do
         path: path,
         size: Folder.size(path),
         duration: duration(piece, store),
-        ended: if(ended in @set..wall, do: now - (wall - ended))
+        ended: if(ended in @first_set..wall, do: now - (wall - ended))
       }
     end
   end
 
-  # The last piece of a run is not whole: it counts for what is in it.
+  # The last piece of a run is incomplete and counts as long as the messages in it span.
   defp duration(%{full?: true, every: every}, _store) when is_integer(every), do: every
 
   defp duration(%{every: every}, store) when is_integer(every) do
