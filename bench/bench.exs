@@ -31,7 +31,7 @@ defmodule Situ.Bench do
   `:erlang.statistics(:runtime)` is user time alone (OTP 25): writes, page faults and wake-ups are missing there.
   """
   def cpu_us do
-    # Nanoseconds of each thread; a kernel without them has ticks of 10 ms for the whole process.
+    # Nanoseconds of each thread. A kernel without schedstat counts ticks of 10 ms for the whole process.
     case Path.wildcard("/proc/self/task/*/schedstat") do
       [] -> ticks_us(File.read!("/proc/self/stat"))
       files -> files |> Enum.map(&thread_ns/1) |> Enum.sum() |> div(1_000)
@@ -140,7 +140,7 @@ defmodule Situ.Bench do
     with [reps | more] <- rest ++ List.duplicate(nil, 2 - min(2, length(rest))),
          [scale | _] <- more,
          {:ok, reps} <- number(reps || "5", &Integer.parse/1),
-         {:ok, scale} <- number(with_zero(scale || "1"), &Float.parse/1) do
+         {:ok, scale} <- number(add_leading_zero(scale || "1"), &Float.parse/1) do
       {reps, scale}
     else
       _ ->
@@ -150,8 +150,8 @@ defmodule Situ.Bench do
     end
   end
 
-  defp with_zero("." <> _ = text), do: "0" <> text
-  defp with_zero(text), do: text
+  defp add_leading_zero("." <> _ = text), do: "0" <> text
+  defp add_leading_zero(text), do: text
 
   defp number(text, parse) do
     case parse.(text) do
@@ -160,7 +160,8 @@ defmodule Situ.Bench do
     end
   end
 
-  # Every test gets a fresh VM, so that one test's garbage and heated caches are not another's. Whether it succeeded.
+  # Every test gets a fresh VM, so that one test's garbage and warm caches do not affect another. Returns whether the
+  # test succeeded.
   defp spawn_vm(name, reps, scale) do
     script = System.get_env("SITU_BENCH") || "bin/bench"
     args = [name, "#{reps}", "#{scale}"]

@@ -87,9 +87,8 @@ defmodule Situ do
   function in one table), *Choosing a delivery policy*, *When things fail*, *Situ in your application*. `Situ.Test`
   tests pipelines with a clock that you move by hand.
   """
-  alias Situ.Argument
   import Kernel, except: [min: 2, max: 2, abs: 1, tap: 2, inspect: 1, inspect: 2]
-  alias Situ.{Node, Operator, Pipeline, Stream}
+  alias Situ.{Argument, Node, Operator, Pipeline, Stream}
 
   @doc """
   Adds a source; returns its stream, or a map of streams when it has several outputs.

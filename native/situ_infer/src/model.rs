@@ -39,7 +39,7 @@ pub struct Options {
     pub sessions: usize,
     /// The device that runs it.
     pub provider: Provider,
-    /// The folder of the files with weights that the model file names; without it, the working directory.
+    /// The folder of the weight files that the model file names; `None` means the working directory.
     pub folder: Option<String>,
 }
 

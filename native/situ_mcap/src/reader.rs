@@ -218,7 +218,7 @@ impl Reader {
         Ok(self.track(channel, times)?.seek(time) as u64)
     }
 
-    /// Returns messages of a channel as the query says, at least one where there is one, and the number of the next one.
+    /// Returns messages of a channel as the query says, at least one where there is one, and the next number.
     pub fn read(&self, query: &Query) -> Result<(Vec<Message>, u64)> {
         let track = self.track(query.channel, query.times)?;
         let mut at = usize::try_from(query.from).unwrap_or(usize::MAX);

@@ -1,7 +1,7 @@
 //! Resizing by the `fast_image_resize` crate, for the pixel layouts that Situ has.
 //!
 //! The kernels of that crate are generic, so they are compiled in the crate that calls them, which takes more than a
-//! minute. They have this crate to themselves: no change to `situ_media`, and none of its tests, compiles them again.
+//! minute. This crate contains nothing else, so that neither a change to `situ_media` nor its tests compile them again.
 
 #![deny(missing_docs)]
 
@@ -29,8 +29,8 @@ pub enum PixelLayout {
 /// An image's width and height in pixels.
 pub type Size = (u32, u32);
 
-/// Resizes `source`, rows of `from` without padding, to `to` into `target`. 16-bit layouts need 2-byte alignment.
-/// An error says why the buffers were refused.
+/// Resizes `source`, an image of size `from` without padding, into `target`, an image of size `to`. 16-bit layouts
+/// need 2-byte alignment. An error says why the buffers were refused.
 pub fn resize_pixels(
     layout: PixelLayout,
     (from, source): (Size, &[u8]),

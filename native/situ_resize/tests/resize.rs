@@ -1,4 +1,4 @@
-//! Beside the library, since tests inside it would compile all kernels once more.
+//! Not inside the library, where tests would compile all kernels once more.
 use situ_resize::{resize_pixels, PixelLayout, ResizeAlg, ResizeOptions};
 
 fn options() -> ResizeOptions {

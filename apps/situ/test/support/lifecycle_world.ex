@@ -116,7 +116,7 @@ defmodule Situ.Fixture.LifecycleWorld do
 
   # A part that is removed may have ended before, as a whole or some of it.
   defp happen({:wish, {:remove, ids}}, world) do
-    growing = for {_, growth} <- world.life.growths, id <- growth.ids, do: id
+    growing = growing_ids(world)
     there? = &(&1 in world.entries and &1 not in world.forgotten and &1 not in growing)
     forget = ids |> Enum.uniq() |> Enum.filter(there?)
     if forget == [], do: world, else: stop_part(world, part(world, forget), forget)
@@ -173,7 +173,7 @@ defmodule Situ.Fixture.LifecycleWorld do
 
   defp part(%{life: %{phase: :running}} = world, ids) do
     alone = for {_, part} <- world.life.parts, id <- part.ids, do: id
-    growing = for {_, growth} <- world.life.growths, id <- growth.ids, do: id
+    growing = growing_ids(world)
 
     for id <- ids,
         %{status: :running} <- [world.life.stages[id]],
@@ -182,6 +182,8 @@ defmodule Situ.Fixture.LifecycleWorld do
   end
 
   defp part(_world, _ids), do: []
+
+  defp growing_ids(world), do: for({_, growth} <- world.life.growths, id <- growth.ids, do: id)
 
   defp stop_part(%{life: %{phase: :running}} = world, ids, forget) do
     opts = %{catch_up: 10, from: {:caller, make_ref()}, forget: forget}

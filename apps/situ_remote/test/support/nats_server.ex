@@ -61,12 +61,7 @@ defmodule Situ.Test.NatsServer do
   end
 
   @spec free_port() :: :inet.port_number()
-  def free_port do
-    {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
-    {:ok, port} = :inet.port(socket)
-    :gen_tcp.close(socket)
-    port
-  end
+  defdelegate free_port, to: Situ.Test.FreePort, as: :tcp
 
   defp wait(port, left) do
     case :gen_tcp.connect({127, 0, 0, 1}, port, [], 1_000) do

@@ -1,9 +1,9 @@
 defmodule Situ.KnownModules do
   @moduledoc """
-  The modules that a name from outside may mean: a recording, a peer, a file.
+  Finds the module that a name from outside means: from a recording, a peer or a file.
 
-  These are the modules that are loaded already, and those that a loaded application lists as its own. A name is never
-  looked for as a file, so that nobody can have a `.beam` of their choice loaded, and never becomes an atom.
+  Only modules that are already loaded, and modules that a loaded application lists, are found. No name is searched for
+  in the code path, so an outsider cannot have a `.beam` file of their choice loaded, and no name becomes a new atom.
 
       iex> Situ.KnownModules.fetch("Elixir.Situ.Message")
       {:ok, Situ.Message}
@@ -11,7 +11,7 @@ defmodule Situ.KnownModules do
       {:error, :error}
   """
 
-  @doc "Returns the module of this full name (`\"Elixir.My.Pose\"`), loaded, or `:error` if this system has none."
+  @doc "Loads and returns the module with this full name (`\"Elixir.My.Pose\"`); `:error` if there is none."
   @spec fetch(String.t()) :: {:ok, module()} | :error
   def fetch(name) do
     with :error <- find_module(name),
@@ -25,7 +25,7 @@ defmodule Situ.KnownModules do
     ArgumentError -> :error
   end
 
-  @doc "Loads a module that a loaded application lists, and says whether the module is loaded."
+  @doc "Loads a module if a loaded application lists it; returns whether the module is loaded."
   @spec load?(module()) :: boolean()
   def load?(module) when is_atom(module),
     do: :erlang.module_loaded(module) or (listed?(module) and Code.ensure_loaded?(module))
@@ -35,6 +35,6 @@ defmodule Situ.KnownModules do
       (load_own_types?() and Application.get_application(module) != nil)
   end
 
-  # A script that starts no application still knows Situ's own types.
+  # A script that starts no application must still know Situ's own types.
   defp load_own_types?, do: Application.load(:situ_types) == :ok
 end

@@ -155,13 +155,16 @@ defmodule Situ.Options do
     end
   end
 
-  # A struct's module may know what was meant, as `:latest` means `Situ.Delivery.latest()`.
+  # A struct's module may know what the caller meant: for `:latest`, `Situ.Delivery.latest()`.
   defp suggestion({:optional, type}, value), do: suggestion(type, value)
   defp suggestion({:or, types}, value), do: Enum.find_value(types, &suggestion(&1, value))
   defp suggestion({:list, type}, [value | _]), do: suggestion(type, value)
 
   defp suggestion({:struct, module}, value),
-    do: if(function_exported?(module, :suggest, 1), do: module.suggest(value))
+    do:
+      if(Code.ensure_loaded?(module) and function_exported?(module, :suggest, 1),
+        do: module.suggest(value)
+      )
 
   defp suggestion(_type, _value), do: nil
 

@@ -184,7 +184,7 @@ defmodule Situ.Pose do
         <<1, _::56, x::little-float-64, y::little-float-64, z::little-float-64,
           w::little-float-64, i::little-float-64, j::little-float-64, k::little-float-64>>
       ) do
-    # It is kept as it was stored, so that its squares must be in range.
+    # The rotation is kept as it was stored, so the squares of its parts must be in range.
     with true <- Enum.all?([w, i, j, k], &(abs(&1) < 1.0e100)),
          {:ok, _} <- Quaternion.normalize({w, i, j, k}) do
       {:ok, %__MODULE__{position: {x, y, z}, rotation: {w, i, j, k}}}

@@ -11,7 +11,7 @@ defmodule Situ.Application.Reload do
   @spec start_link(term()) :: GenServer.on_start()
   def start_link(_), do: GenServer.start_link(__MODULE__, [], name: __MODULE__)
 
-  @doc "The calling process wants to know of versions of `module` other than `seen`, which it was built with."
+  @doc "Notifies the calling process of each version of `module` after `seen`, the version it was built with."
   @spec watch(module(), binary() | nil) :: :ok
   def watch(module, seen), do: GenServer.cast(__MODULE__, {:watch, module, seen, self()})
 
@@ -47,7 +47,7 @@ defmodule Situ.Application.Reload do
     end
   end
 
-  @doc "The version of the loaded code; a module that is being loaded has none for a moment."
+  @doc "Returns the version of the loaded code; `nil` for the moment in which a module is being loaded."
   @spec version(module()) :: binary() | nil
   def version(module) do
     if :erlang.module_loaded(module), do: module.module_info(:md5)

@@ -15,8 +15,7 @@ defmodule Situ.Collector do
       [1, 3, 9, 27]
   """
 
-  alias Situ.Argument
-  alias Situ.{Message, Pipeline, Stream}
+  alias Situ.{Argument, Message, Pipeline, Stream}
 
   defmodule Sink do
     @moduledoc false
@@ -116,13 +115,7 @@ defmodule Situ.Collector do
     with {:ok, report} <- result, do: {:ok, fill(report.result, messages)}
   end
 
-  def collect(other, _arg2),
-    do:
-      Argument.refuse!(
-        other,
-        :build,
-        "Situ.collect(fn p -> Situ.from_enumerable(p, 1..9, every: 1) end)"
-      )
+  def collect(other, _opts), do: refuse_build!(other, "collect")
 
   @doc """
   As `collect/2`, but only the data, and an error is raised. With `times: true` pairs of originating time and data.
@@ -139,13 +132,7 @@ defmodule Situ.Collector do
     end
   end
 
-  def to_list(other, _arg2),
-    do:
-      Argument.refuse!(
-        other,
-        :build,
-        "Situ.to_list(fn p -> Situ.from_enumerable(p, 1..9, every: 1) end)"
-      )
+  def to_list(other, _opts), do: refuse_build!(other, "to_list")
 
   @doc """
   The data of the stream that `build` returns as an Elixir `Stream`: a pipeline of its own runs while it is read, as
@@ -159,13 +146,12 @@ defmodule Situ.Collector do
     Elixir.Stream.resource(fn -> open(build, opts) end, &read(&1, messages?), &shut/1)
   end
 
-  def to_stream(other, _arg2),
-    do:
-      Argument.refuse!(
-        other,
-        :build,
-        "Situ.to_stream(fn p -> Situ.from_enumerable(p, 1..9, every: 1) end)"
-      )
+  def to_stream(other, _opts), do: refuse_build!(other, "to_stream")
+
+  defp refuse_build!(other, name) do
+    example = "Situ.#{name}(fn p -> Situ.from_enumerable(p, 1..9, every: 1) end)"
+    Argument.refuse!(other, :build, example)
+  end
 
   @doc false
   @spec sink(Stream.t(), pid(), term()) :: :ok

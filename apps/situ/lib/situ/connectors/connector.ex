@@ -25,8 +25,7 @@ defmodule Situ.Connector do
   `as: :data` (default) posts the data as a new message at the same originating time, `as: :message` posts the whole
   `Situ.Message` as data, `as: :envelope` keeps times and sequence id.
   """
-  alias Situ.Argument
-  alias Situ.Stream
+  alias Situ.{Argument, Stream}
 
   @enforce_keys [:name, :ref]
   defstruct [:name, :ref]

@@ -15,8 +15,7 @@ defmodule Situ.Tap do
   (default 10,000) wait in its mailbox, it misses messages.
   """
 
-  alias Situ.Argument
-  alias Situ.{Operator, Stream}
+  alias Situ.{Argument, Operator, Stream}
   alias Situ.Graph.Placement
 
   @schema [max_queue: [type: :pos_integer, default: 10_000, doc: "See above."]]

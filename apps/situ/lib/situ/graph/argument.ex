@@ -1,91 +1,106 @@
 defmodule Situ.Argument do
   @moduledoc false
-  # The one home of the texts with which a public function refuses an argument. They say what it takes, what it was
-  # given and what to write.
+  # The errors of public functions that were called with a wrong argument. Each names what the function takes, what it
+  # was given and what to write instead.
   alias Situ.Graph.Handle
   alias Situ.{Node, Stream}
 
   @typedoc """
-  The kind that a function takes: a stream, a pipeline that is being built, one that runs, a function that builds one, a
-  node, or something else in words.
+  The kind of argument that a function takes: a stream, streams, a pipeline that is being built, a running pipeline, a
+  function that builds one, a node, or a description in words.
   """
   @type kind :: :stream | :streams | :handle | :target | :build | :node | String.t()
 
-  @doc "Raises an `ArgumentError`; `example` shows the call as it should be."
-  @spec refuse!(term(), kind(), String.t()) :: no_return()
-  def refuse!(value, kind, example) do
-    raise ArgumentError,
-          "#{function(example)} takes #{wanted(kind)}, not #{given(value)}; " <>
-            hint(value, kind, example)
-  end
+  @doc """
+  Raises an `ArgumentError`; `example` shows a correct call.
 
-  @doc "The stream itself; raises for anything else."
+  Where `value` is of the right kind, the arguments after it are wrong.
+  """
+  @spec refuse!(term(), kind(), String.t()) :: no_return()
+  def refuse!(value, kind, example),
+    do:
+      raise(ArgumentError, "#{function_name(example)} #{describe_mistake(value, kind, example)}")
+
+  @doc "Returns the stream itself; raises for anything else."
   @spec stream!(term(), String.t()) :: Stream.t()
   def stream!(%Stream{} = stream, _example), do: stream
   def stream!(value, example), do: refuse!(value, :stream, example)
 
-  defp function(example), do: example |> String.split("(") |> hd()
+  defp function_name(example), do: example |> String.split("(") |> hd()
 
-  defp wanted(:stream), do: "a stream as its first argument, and arguments as in #{sees()}"
-  defp wanted(:streams), do: "streams, and arguments as in #{sees()}"
-  defp wanted(:handle), do: "a pipeline that is being built, and arguments as in #{sees()}"
+  defp describe_mistake(value, kind, example) do
+    if kind?(value, kind),
+      do: "does not take these arguments after the first; write #{example}",
+      else:
+        "takes #{describe_kind(kind)}, not #{describe_value(value)}; " <>
+          suggest_fix(value, kind, example)
+  end
 
-  defp wanted(:target),
+  defp kind?(%Stream{}, kind) when kind in [:stream, :streams], do: true
+  defp kind?(%Handle{}, :handle), do: true
+  defp kind?(_value, _kind), do: false
+
+  defp describe_kind(:stream), do: "a stream as its first argument"
+  defp describe_kind(:streams), do: "streams"
+  defp describe_kind(:handle), do: "a pipeline that is being built"
+
+  defp describe_kind(:target),
     do: "a running pipeline (its handle, process or name) or one of its streams"
 
-  defp wanted(:build), do: "a function that builds a pipeline"
-  defp wanted(:node), do: "a node, as Situ.Pipeline.add/3 returns it"
-  defp wanted(text), do: text
+  defp describe_kind(:build), do: "a function that builds a pipeline"
+  defp describe_kind(:node), do: "a node, as Situ.Pipeline.add/3 returns it"
+  defp describe_kind(text), do: text
 
-  defp sees, do: "its documentation"
+  defp describe_value(%Handle{}), do: "a pipeline (the p of build)"
+  defp describe_value(%Stream{}), do: "a stream"
+  defp describe_value(%Node{path: path}), do: "the node #{path}"
+  defp describe_value(%_{snapshot: _}), do: "the report of a pipeline that has ended"
+  defp describe_value({:ok, value}), do: "{:ok, ...} with #{describe_value(value)}"
+  defp describe_value(%module{}), do: "a %#{inspect(module)}{}"
+  defp describe_value(%{} = map) when map_size(map) > 0, do: describe_map(map)
+  defp describe_value([_ | _]), do: "a list"
 
-  defp given(%Handle{}), do: "a pipeline (the p of build)"
-  defp given(%Stream{}), do: "a stream and what came with it"
-  defp given(%Node{path: path}), do: "the node #{path}"
-  defp given(%_{snapshot: _}), do: "the report of a pipeline that has ended"
-  defp given({:ok, value}), do: "{:ok, ...} with #{given(value)}"
-  defp given(%module{}), do: "a %#{inspect(module)}{}"
-  defp given(%{} = map) when map_size(map) > 0, do: map(map)
-  defp given([_ | _]), do: "a list"
-  defp given(fun) when is_function(fun), do: "a function"
-  defp given(pid) when is_pid(pid), do: "a process"
-  defp given(other), do: inspect(other, limit: 5, printable_limit: 60)
+  defp describe_value(fun) when is_function(fun),
+    do: "a function of arity #{fun |> Function.info(:arity) |> elem(1)}"
 
-  defp map(map) do
+  defp describe_value(pid) when is_pid(pid), do: "a process"
+  defp describe_value(other), do: inspect(other, limit: 5, printable_limit: 60)
+
+  defp describe_map(map) do
     if Enum.all?(map, &match?({_, %Stream{}}, &1)),
       do: "a map of streams (#{map |> Map.keys() |> Enum.map_join(", ", &inspect/1)})",
       else: "a map"
   end
 
-  defp hint(%Handle{}, kind, example) when kind in [:stream, :streams],
+  defp suggest_fix(%Handle{}, kind, example) when kind in [:stream, :streams],
     do: "add a source first, and use its stream: stream = Situ.source(p, Camera), then #{example}"
 
-  defp hint(%{} = map, kind, example) when kind in [:stream, :streams] and not is_struct(map),
-    do: "take one of its streams, as in stream = streams.#{output(map)}, then #{example}"
+  defp suggest_fix(%{} = map, kind, example)
+       when kind in [:stream, :streams] and not is_struct(map),
+       do: "take one of its streams, as in stream = streams.#{first_key(map)}, then #{example}"
 
-  defp hint(%Node{}, kind, example) when kind in [:stream, :streams],
+  defp suggest_fix(%Node{}, kind, example) when kind in [:stream, :streams],
     do: "take one of its outputs: stream = Situ.Node.output(node, :out), then #{example}"
 
-  defp hint(%Stream{}, :handle, example),
+  defp suggest_fix(%Stream{}, :handle, example),
     do: "a stream knows its pipeline: p = stream.pipeline, then #{example}"
 
-  defp hint(pid, :handle, example) when is_pid(pid),
-    do: "what runs is extended: Situ.Pipeline.extend(pid, fn p -> #{example} end)"
+  defp suggest_fix(pid, :handle, example) when is_pid(pid),
+    do: "extend a running pipeline with Situ.Pipeline.extend(pid, fn p -> #{example} end)"
 
-  defp hint({:ok, _}, _kind, example),
+  defp suggest_fix({:ok, _}, _kind, example),
     do: "take it out first: {:ok, value} = ..., then #{example}"
 
-  defp hint(%_{snapshot: _}, :target, _example),
-    do: "print what it was like with IO.puts(Situ.Diagnostics.format(report.snapshot))"
+  defp suggest_fix(%_{snapshot: _}, :target, _example),
+    do: "print the report with IO.puts(Situ.Diagnostics.format(report.snapshot))"
 
-  defp hint(fun, :target, example) when is_function(fun),
+  defp suggest_fix(fun, :target, example) when is_function(fun),
     do: "start it first: {:ok, p} = Situ.Pipeline.start(build), then #{example}"
 
-  defp hint(_value, :target, example),
+  defp suggest_fix(_value, :target, example),
     do: "write {:ok, p} = Situ.Pipeline.start(build), then #{example}"
 
-  defp hint(_value, :build, example), do: "write #{example}"
-  defp hint(_value, _kind, example), do: "write #{example}"
+  defp suggest_fix(_value, _kind, example), do: "write #{example}"
 
-  defp output(map), do: map |> Map.keys() |> hd() |> to_string()
+  defp first_key(map), do: map |> Map.keys() |> hd() |> to_string()
 end

@@ -143,7 +143,7 @@ defmodule Situ.Delivery do
   }
 
   @doc """
-  Returns the call to write instead of something that is not a policy, or `nil`.
+  Returns which call to write instead of a value that is not a policy, or `nil`.
 
       iex> Situ.Delivery.suggest(:lastest)
       "did you mean Situ.Delivery.latest()?"

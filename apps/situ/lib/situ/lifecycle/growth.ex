@@ -82,7 +82,7 @@ defmodule Situ.Lifecycle.Growth do
     end
   end
 
-  @doc "The process of a stage has ended: what is being added and waits for its stream waits no more."
+  @doc "The process of a stage has ended: parts that are being added no longer wait for its stream."
   @spec lender_ended(State.t(), State.id()) :: State.t()
   def lender_ended(%{growths: growths} = state, _id) when growths == %{}, do: state
 
@@ -93,18 +93,20 @@ defmodule Situ.Lifecycle.Growth do
           %{from: ^id} <- [state.links.topology[tag]],
           do: tag
 
-    # One that has begun again makes itself known to its neighbours.
+    # A stage that was restarted connects to its neighbours by itself.
     Enum.reduce(asked, state, fn tag, state ->
-      if state.stages[id].alive?, do: lent(state, tag, {:open, nil}), else: closed(state, tag)
+      if state.stages[id].alive?,
+        do: lent(state, tag, {:open, nil}),
+        else: lend_closed(state, tag)
     end)
   end
 
   defp lend(tag, state) do
     %{from: from} = state.links.topology[tag]
-    if state.stages[from].alive?, do: act(state, {:lend, tag}), else: closed(state, tag)
+    if state.stages[from].alive?, do: act(state, {:lend, tag}), else: lend_closed(state, tag)
   end
 
-  defp closed(state, tag) do
+  defp lend_closed(state, tag) do
     %{from: from} = state.links.topology[tag]
     member = state.stages[from]
     time = Map.get(state.links.closing, tag, member.ends_at || member.limit || 0)
@@ -187,7 +189,7 @@ defmodule Situ.Lifecycle.Growth do
     |> fail_listeners(tags)
   end
 
-  # Something else that is being added wanted to listen to it.
+  # Other parts that are being added may have been about to listen to it.
   defp fail_listeners(state, tags) do
     refs = for {ref, %{lent: lent}} <- state.growths, Enum.any?(lent, &(&1 in tags)), do: ref
 

@@ -27,8 +27,8 @@ defmodule Situ.Lifecycle do
   # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}` | as they say |
   # | `{:rewire, id, links}`, `{:shutdown, id}`, `{:kill, id}` | as they say |
   # | `{:tell, id, request}`, `{:lend, tag}` | sends a stage a request; asks a stage to take a subscriber in |
-  # | `{:forget, ids}` | takes stages that were removed out of the graph: their names are free |
-  # | `{:drop, id}`, `{:unwire, tag}` | drops a stage, or a connection, that the life cycle does not know any more |
+  # | `{:forget, ids}` | takes removed stages out of the graph, which frees their names |
+  # | `{:drop, id}`, `{:unwire, tag}` | drops a stage, or a connection, that the life cycle has deleted |
   # | `{:cut, ids, time}`, `{:release, ids}` | makes these stages ignore later messages; lets them finish all messages
   # and end |
   # | `{:failed, error}`, `{:noted, error}`, `{:restarted, id, error}` | logs it and calls the handlers |
@@ -147,7 +147,7 @@ defmodule Situ.Lifecycle do
 
   defp event(state, _event, _now), do: state
 
-  # A stage whose process is as good as gone has no say any more; but its end is news.
+  # Only the end of its process counts of a stage that was given up.
   defp stage(event, state, _now)
        when elem(event, 0) != :exited and
               :erlang.map_get(:status, :erlang.map_get(elem(event, 1), state.stages)) == :dead,

@@ -8,9 +8,9 @@ defmodule Situ.Lifecycle.PartialStop do
   import Situ.Lifecycle.State
 
   @typedoc """
-  `ids`: its stages, `pending`: its sources that have yet to stop, `error`: what went wrong meanwhile; `forget`: the
-  stages that are removed with it, those that have ended already among them; `waits_for`: the parts with some of those
-  stages that are still being stopped.
+  `ids`: its stages; `pending`: its sources that have yet to stop; `error`: the first error meanwhile; `forget`: the
+  stages to remove with it, including those that ended before; `waits_for`: other parts with some of these stages, which
+  are still being stopped.
   """
   @type t :: %{
           ids: MapSet.t(State.id()),
@@ -100,7 +100,7 @@ defmodule Situ.Lifecycle.PartialStop do
 
   def go_on(state) do
     next = Enum.reduce(Map.keys(state.parts), state, &step/2)
-    # Another one may have waited for a part that has just ended.
+    # Another part may have waited for one that has just ended.
     if map_size(next.parts) < map_size(state.parts), do: go_on(next), else: next
   end
 

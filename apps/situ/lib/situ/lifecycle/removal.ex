@@ -1,8 +1,8 @@
 defmodule Situ.Lifecycle.Removal do
   @moduledoc false
-  # Stages that were removed and whose processes have ended. The life cycle lets go of such a stage only when its
-  # consumers have taken its closing marks: until then its connections count. The server keeps everything that belongs
-  # to a stage until the life cycle says `{:drop, id}`, so that no event ever meets half of a stage. Pure.
+  # Removed stages whose processes have ended. The life cycle drops such a stage only when its consumers have taken its
+  # closing marks: until then its connections count. The server keeps everything that belongs to a stage until the life
+  # cycle says `{:drop, id}`, so that no event finds only a part of it. Pure.
   alias Situ.Lifecycle.{Links, State}
   import Situ.Lifecycle.State
 
@@ -13,15 +13,15 @@ defmodule Situ.Lifecycle.Removal do
 
   def leave(state, _id), do: state
 
-  @doc "Lets go of the removed stages that nobody listens to any more."
+  @doc "Drops the removed stages that have no consumers left."
   @spec drop_left(State.t()) :: State.t()
   def drop_left(%{leaving: leaving} = state) do
     if MapSet.size(leaving) == 0,
       do: state,
-      else: leaving |> Enum.filter(&unheard?(state, &1)) |> Enum.reduce(state, &drop/2)
+      else: leaving |> Enum.filter(&unconsumed?(state, &1)) |> Enum.reduce(state, &drop/2)
   end
 
-  defp unheard?(state, id),
+  defp unconsumed?(state, id),
     do: Enum.all?(Links.out_of(state.links, id), fn {_, link} -> link.to == id end)
 
   defp drop(id, state) do

@@ -51,9 +51,8 @@ defmodule Situ.Aggregate do
 
   import Kernel, except: [abs: 1, max: 2, min: 2]
 
-  alias Situ.Argument
   alias Situ.Graph.Placement
-  alias Situ.{Number, Operator, Statistics, Stream, Window}
+  alias Situ.{Argument, Number, Operator, Statistics, Stream, Window}
   alias Situ.Statistics.Sliding
 
   @doc """

@@ -62,8 +62,7 @@ defmodule Situ.Filter do
   All filters take the options of every operator, too (`Situ.Graph.Placement`).
   """
 
-  alias Situ.Argument
-  alias Situ.{Fusion, Number, Operator, Reproducible, Stream}
+  alias Situ.{Argument, Fusion, Number, Operator, Reproducible, Stream}
   alias Situ.Graph.Placement
   alias Situ.Filter.{Fir, Iir, OneEuro}
 

@@ -75,10 +75,9 @@ defmodule Situ.Fusion do
   and those of `Situ.Graph.Placement`, where `policy:` may be a list with one for each input, primary first.
   """
 
-  alias Situ.Argument
   alias Situ.Fusion.{Arguments, Assembly, DynamicInputs}
   alias Situ.Graph.Placement
-  alias Situ.{Interpolator, Interval, Pipeline, Reproducible, Stream}
+  alias Situ.{Argument, Interpolator, Interval, Pipeline, Reproducible, Stream}
 
   @typedoc "An interpolator, a tolerance in ns, or a window."
   @type interpolator :: Interpolator.t() | Situ.Time.duration() | Interval.t()
@@ -155,9 +154,9 @@ defmodule Situ.Fusion do
   Each primary with the latest secondary that has arrived by then; primaries before the first secondary are dropped,
   unless `initial:` gives a value. Reproducible: no.
 
-  It goes by arrival: a recording that is read as fast as possible (speed `:max`) may have given all its primaries
-  before the first secondary has arrived, and then there is no pair at all. `join/4` with
-  `Situ.Reproducible.last()` gives the latest secondary by originating time, the same at any speed.
+  Pairs depend on arrival: when a recording is read as fast as possible (speed `:max`), all its primaries may arrive
+  before the first secondary, and then there are no pairs. `join/4` with `Situ.Reproducible.last()` gives the latest
+  secondary by originating time, at any speed.
 
   #{Situ.Options.docs(@pair)}
   """

@@ -63,9 +63,8 @@ defmodule Situ.Generator do
   Besides the options named with each function, all take those of `Situ.Graph.Placement` for generators.
   """
 
-  alias Situ.Argument
   alias Situ.Graph.Placement
-  alias Situ.{Pipeline, Stream}
+  alias Situ.{Argument, Pipeline, Stream}
   alias Situ.Generator.{Events, Feed, Source, Timer}
 
   @doc """

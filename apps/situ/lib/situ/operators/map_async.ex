@@ -24,9 +24,8 @@ defmodule Situ.MapAsync do
       iex> Situ.to_list(build, pipeline: [replay: [interval: {0, :unbounded}, speed: :max]])
       [1, 4, 9, 16, 25]
   """
-  alias Situ.Argument
   alias Situ.Graph.Placement
-  alias Situ.{Operator, Stream}
+  alias Situ.{Argument, Operator, Stream}
 
   @doc """
   The data through `fun` (of data, or of data and message), for up to `max:` messages at once, in order.

@@ -92,10 +92,9 @@ defmodule Situ.Parallel do
   and those of every operator (`Situ.Graph.Placement`).
   """
 
-  alias Situ.Argument
   alias Situ.Parallel.{Values, Processes, Termination}
   alias Situ.Graph.Placement
-  alias Situ.{Operator, Stream}
+  alias Situ.{Argument, Operator, Stream}
 
   @no_queues "branch_policy: needs branches: :processes (a branch that is a value has no queues)"
 

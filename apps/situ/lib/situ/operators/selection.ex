@@ -36,9 +36,8 @@ defmodule Situ.Selection do
   They take the options of every operator (`Situ.Graph.Placement`).
   """
 
-  alias Situ.Argument
   alias Situ.Graph.Placement
-  alias Situ.{Generator, Operator, Stream}
+  alias Situ.{Argument, Generator, Operator, Stream}
   alias Situ.Selection.{Delay, Edit, Last, Process, Reorder}
 
   @doc "The first `n` messages; the stream stays open and silent after them."

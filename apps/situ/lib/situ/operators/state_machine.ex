@@ -51,9 +51,8 @@ defmodule Situ.StateMachine do
 
   Reproducible: yes.
   """
-  alias Situ.Argument
   alias Situ.Graph.Placement
-  alias Situ.{Operator, Stream}
+  alias Situ.{Argument, Operator, Stream}
   alias Situ.StateMachine.Runner
 
   @type state :: term()

@@ -40,9 +40,8 @@ defmodule Situ.Window do
   and those of every operator (`Situ.Graph.Placement`).
   """
 
-  alias Situ.Argument
   alias Situ.Graph.Placement
-  alias Situ.{Interval, Operator, Stream}
+  alias Situ.{Argument, Interval, Operator, Stream}
   alias Situ.Window.{Dynamic, Index, Component, Relative}
 
   @doc """

@@ -173,12 +173,16 @@ defmodule Situ.Pipeline.Client do
   def pid(pid) when is_pid(pid), do: pid
   def pid(label) when is_binary(label), do: Directory.whereis(label)
 
-  def pid(name)
-      when is_atom(name) or
-             (is_tuple(name) and elem(name, 0) in [:global, :via]) or
-             (is_tuple(name) and tuple_size(name) == 2 and is_atom(elem(name, 1)) and
-                elem(name, 0) != :ok),
-      do: GenServer.whereis(name)
+  def pid(other) do
+    if registered_name?(other),
+      do: GenServer.whereis(other),
+      else: Argument.refuse!(other, :target, "Situ.Pipeline.info(p)")
+  end
 
-  def pid(other), do: Argument.refuse!(other, :target, "Situ.Pipeline.info(p)")
+  defp registered_name?({:global, _}), do: true
+  defp registered_name?({:via, _, _}), do: true
+  # The usual slip, `{:ok, p}`, is not the name of a process on a node.
+  defp registered_name?({:ok, _}), do: false
+  defp registered_name?({name, node}), do: is_atom(name) and is_atom(node)
+  defp registered_name?(name), do: is_atom(name)
 end

@@ -74,7 +74,7 @@ defmodule Situ.Pipeline.Launcher do
     state = State.new(settings)
     handle = Builder.open(state.graph)
     diagnose(handle, settings)
-    version = version(settings.origin)
+    version = loaded_version(settings.origin)
 
     case with(:ok <- Directory.enter(settings), do: build(spec, handle, opts)) do
       {:ok, result} ->
@@ -111,9 +111,12 @@ defmodule Situ.Pipeline.Launcher do
     end
   end
 
-  # Before it builds: a version that is loaded meanwhile is a new one.
-  defp version({module, _opts}), do: Code.ensure_loaded?(module) && Reload.version(module)
-  defp version(nil), do: nil
+  # Read before the build, so that a version that is loaded during it counts as new.
+  defp loaded_version({module, _opts}) do
+    if Code.ensure_loaded?(module), do: Reload.version(module)
+  end
+
+  defp loaded_version(nil), do: nil
 
   defp diagnose(_handle, %{diagnostics: false}), do: :ok
   defp diagnose(handle, %{diagnostics: true}), do: Situ.Diagnostics.stream(handle)

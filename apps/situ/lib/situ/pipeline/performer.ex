@@ -122,10 +122,11 @@ defmodule Situ.Pipeline.Performer do
   defp perform({:cut, ids, time}, state), do: Stages.cut(state, ids, time)
 
   defp perform({:lend, tag}, state), do: Extension.lend(state, tag)
-  # The others leave when their processes end.
+
+  # Stages whose processes are still alive leave when those end.
   defp perform({:forget, ids}, state) do
-    over = Enum.filter(ids, &Stages.over?(state, &1))
-    state |> Extension.forget(ids) |> apply_all(Enum.map(over, &{:left, &1}))
+    ended = Enum.filter(ids, &Stages.ended?(state, &1))
+    state |> Extension.forget(ids) |> apply_all(Enum.map(ended, &{:left, &1}))
   end
 
   defp perform({:drop, id}, state), do: state |> Dynamic.Tap.drop(id) |> Stages.drop(id)
@@ -200,6 +201,7 @@ defmodule Situ.Pipeline.Performer do
     case Plan.compile(state.graph) do
       {:ok, plan} ->
         {state, members} = Stages.lay_out(state, plan)
+        state = resend_early(state)
         __MODULE__.apply(state, {:planned, members, state.wires.links})
 
       {:error, error} ->
@@ -218,10 +220,7 @@ defmodule Situ.Pipeline.Performer do
   end
 
   # Messages that arrived during the start are handled now.
-  defp perform(:running, state) do
-    for message <- Enum.reverse(state.early), do: send(self(), message)
-    progress(%{state | early: []})
-  end
+  defp perform(:running, state), do: state |> resend_early() |> progress()
 
   defp perform(:abandoned, state) do
     Handlers.abandoned(state.handle, nil)
@@ -263,5 +262,11 @@ defmodule Situ.Pipeline.Performer do
   defp call(state, {event, _argument} = job) do
     graph = if event == :run, do: state.graph, else: %Graph{handlers: state.graph.handlers}
     %{state | handlers: Handlers.call(state.handlers, job, graph, state.handle)}
+  end
+
+  # Those that are still too early wait again.
+  defp resend_early(state) do
+    for message <- Enum.reverse(state.early), do: send(self(), message)
+    %{state | early: []}
   end
 end

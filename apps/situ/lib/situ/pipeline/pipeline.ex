@@ -40,9 +40,9 @@ defmodule Situ.Pipeline do
   ## Compiling again
 
   When the module of a running pipeline is compiled again (`r Lobby` in IEx), its operators take the new functions and
-  keep their state, also while the pipeline starts. It takes some 50 ms, and longer on a busy machine. The VM keeps two
-  versions of a module: compiling it twice within that time ends the pipeline with a `BadFunctionError`. Functions given
-  as `&Module.name/1` are always the newest and have no such limit.
+  keep their state, even while the pipeline is starting. This takes about 50 ms, and longer on a busy machine. The VM
+  keeps two versions of a module, so compiling it twice within that time ends the pipeline with a `BadFunctionError`.
+  Functions given as `&Module.name/1` are always the newest and have no such limit.
 
   ## Building from outside
 
@@ -214,9 +214,9 @@ defmodule Situ.Pipeline do
   end
 
   @doc """
-  As `stop_part/3`, and then it is as though it had never been: its names are free again.
+  Stops a part as `stop_part/3` does, and takes it out of the pipeline: its names are free again.
 
-  A part that was stopped, is being stopped, or has ended by itself can be removed as well.
+  A part that was stopped, is being stopped, or has ended by itself can also be removed.
   """
   @spec remove(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
   def remove(p, part, opts \\ []), do: Client.stop_part(p, part, [{:forget?, true} | opts])
@@ -455,8 +455,8 @@ defmodule Situ.Pipeline do
     * `:abandoned`: `fun.(error | nil)` when `build` failed, or the owner of an empty pipeline went before it was
       started: nothing else of it will ever be called
 
-  A `resource` is a value among the options of components, as the writer of a recording: where the pipeline is cut into
-  parts that run on several nodes, the handler goes with the components that use it.
+  A `resource` is a value among the options of components, such as the writer of a recording. When the pipeline is cut
+  into parts that run on several nodes, the handler goes to the node of the components that use it.
   """
   @spec on(t(), event, (term() -> any()), resource :: term()) :: :ok
         when event: :run | :completed | :component_completed | :error | :progress | :abandoned

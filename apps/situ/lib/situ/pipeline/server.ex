@@ -25,14 +25,13 @@ defmodule Situ.Pipeline.Server do
   @impl true
   def init(_), do: :ignore
 
-  # A start or a stop that fails half way is carried on by nobody.
+  # A start or a stop that fails half way cannot be finished, so the pipeline ends with the error.
   @impl true
   def handle_call(request, from, state)
       when request in [:launch, :abandon] or (is_tuple(request) and elem(request, 0) == :stop),
       do: guard(state, fn -> answer(request, from, state) end)
 
-  # The pipeline does not die of a question, or of a change that it cannot make: it keeps its state, the caller hears
-  # of it.
+  # Any other request that raises leaves the state as it was, and the caller gets the error.
   def handle_call(request, from, state) do
     answer(request, from, state)
   catch
@@ -237,12 +236,10 @@ defmodule Situ.Pipeline.Server do
     apply_event(state, {:watched, which, seen})
   end
 
-  # The module that built it has a new version: it is built again, elsewhere, for its functions. Before it is planned
-  # there is no stage that could take them.
-  defp event(:situ_reloaded, %{life: %{step: step}} = state) when step in [:build, :handlers] do
-    Process.send_after(self(), :situ_reloaded, 50)
-    {:noreply, state}
-  end
+  # The module that built it has a new version: it is built again, elsewhere, for its functions. Before the
+  # graph is planned no stage can take them, so the message waits.
+  defp event(:situ_reloaded, %{life: %{step: step}} = state) when step in [:build, :handlers],
+    do: {:noreply, later(:situ_reloaded, state)}
 
   defp event(:situ_reloaded, %{settings: %{origin: {_, _} = origin}} = state) do
     Handlers.rebuild(origin, state.handle)

@@ -170,7 +170,7 @@ defmodule Situ.Pipeline.Stages do
         }
       end
 
-    # A consumer that has taken the closing mark asks for nothing any more, nor does one that is gone.
+    # Consumers that have taken the closing mark, or have ended, no longer subscribe.
     subs =
       out_of
       |> Enum.filter(&is_map_key(state.life.links.active, &1.id))
@@ -205,23 +205,25 @@ defmodule Situ.Pipeline.Stages do
     state
   end
 
-  @doc "A request to a stage; one that is gone needs none, and who waits for its answer has learned that."
+  @doc """
+  Sends a stage a request. A stage that was dropped gets none: callers that waited for its answer were answered then.
+  """
   @spec tell(State.t(), pos_integer(), term()) :: State.t()
   def tell(state, id, request) do
     with %{^id => %{pid: pid}} when pid != nil <- state.stages, do: send(pid, {:situ, request})
     state
   end
 
-  @doc "Whether the process of a stage has ended."
-  @spec over?(State.t(), pos_integer()) :: boolean()
-  def over?(state, id) do
+  @doc "Returns whether the process of a stage has ended."
+  @spec ended?(State.t(), pos_integer()) :: boolean()
+  def ended?(state, id) do
     case state.stages do
       %{^id => %{pid: pid}} -> not is_map_key(state.pids, pid)
       _ -> false
     end
   end
 
-  @doc "Everything that belongs to a stage which the life cycle does not know any more goes."
+  @doc "Deletes everything that belongs to a stage that the life cycle has dropped."
   @spec drop(State.t(), pos_integer()) :: State.t()
   def drop(state, id) do
     {stage, stages} = Map.pop(state.stages, id)
@@ -230,7 +232,7 @@ defmodule Situ.Pipeline.Stages do
     %{state | pids: Map.delete(state.pids, stage && stage.pid)}
   end
 
-  @doc "The same for a connection."
+  @doc "Deletes everything that belongs to a connection that the life cycle has dropped."
   @spec unwire(State.t(), term()) :: State.t()
   def unwire(%{wires: %{links: links, counters: counters}} = state, tag),
     do: %{state | wires: %{links: Map.delete(links, tag), counters: Map.delete(counters, tag)}}

@@ -6,7 +6,7 @@ defmodule Situ.Pipeline.State do
   #   links     connections between stages, with their policies; counters: their numbers, in shared memory
   #   dynamic   requests under way that change the running pipeline
   #   view      what is remembered for those who look: Situ.Pipeline.Inspection
-  #   waiters   who waits for the end; early: messages that wait until it runs
+  #   waiters   who waits for the end; early: messages that wait for the plan, or until it runs
   alias Situ.{Error, Graph, Lifecycle, Options}
   alias Situ.Clock.Timing
   alias Situ.Lifecycle.{Errors, Growth}
@@ -157,8 +157,8 @@ defmodule Situ.Pipeline.State do
   @type part :: %{ids: [pos_integer()], forget: [pos_integer()]}
 
   @doc """
-  The stages below `path`, a composite's or a component's. To be stopped, some must run that are not being stopped
-  already; removed it can be whether any of it runs or not.
+  Returns the stages below `path`, a composite's or a component's. A part can be stopped only if some of it runs and is
+  not being stopped already; it can be removed whether any of it runs or not.
   """
   @spec part(t(), String.t(), boolean()) :: {:ok, part()} | {:error, Error.t()}
   def part(state, path, forget?) do
@@ -170,14 +170,14 @@ defmodule Situ.Pipeline.State do
     cond do
       inside == [] -> {:error, unknown_part(state, path)}
       chosen == [] -> {:error, ended(path)}
-      Enum.any?(inside, &Growth.of(state.life, &1.id)) -> {:error, growing(path)}
+      Enum.any?(inside, &Growth.of(state.life, &1.id)) -> {:error, still_growing(path)}
       stage = Enum.find(chosen, &shared?(&1, path)) -> {:error, shared(stage, path)}
       forget? -> {:ok, %{ids: Enum.map(running, & &1.id), forget: Enum.map(inside, & &1.id)}}
       true -> {:ok, %{ids: Enum.map(running, & &1.id), forget: []}}
     end
   end
 
-  # A stage that was removed stays until its process has ended; its names may be somebody else's by then.
+  # A removed stage stays until its process has ended; other stages may have taken its names meanwhile.
   defp inside?(%{vertices: [head | _] = vertices}, path, graph),
     do: is_map_key(graph.vertices, head.id) and Enum.any?(vertices, &within?(&1, path))
 
@@ -201,11 +201,11 @@ defmodule Situ.Pipeline.State do
 
   defp ended(path) do
     Error.new(:not_running, "#{path} has ended, or is being stopped",
-      fix: "take it out of the pipeline with Situ.Pipeline.remove/3"
+      fix: "to take it out of the pipeline, call Situ.Pipeline.remove/3"
     )
   end
 
-  defp growing(path) do
+  defp still_growing(path) do
     Error.new(:not_running, "#{path} is still being added",
       fix: "wait until Situ.Pipeline.extend/2 has returned"
     )

@@ -1,5 +1,5 @@
 defmodule Situ.ArgumentTest do
-  # The slips of a beginner: each is told what the function takes, what it was given and what to write.
+  # A beginner's mistakes: the error says what the function takes, what it was given and what to write.
   use ExUnit.Case, async: true
 
   alias Situ.{Pipeline, Stream}
@@ -77,8 +77,8 @@ defmodule Situ.ArgumentTest do
              )
   end
 
-  # The message of an error that does not tell a person what to write. The process behind the handle may refuse the rest
-  # of the arguments.
+  # Returns an error whose message does not say what to write. The process of the handle may refuse the other
+  # arguments.
   defp slip({module, name, arity}, first) do
     apply(module, name, [first | List.duplicate([], arity - 1)])
     nil
@@ -113,6 +113,11 @@ defmodule Situ.ArgumentTest do
     assert message(fn -> Situ.inspect(report()) end) =~ "Situ.Diagnostics.format(report.snapshot)"
     assert message(fn -> Situ.inspect(fn p -> p end) end) =~ "Situ.Pipeline.start(build)"
     assert message(fn -> Pipeline.info({:ok, self()}) end) =~ "take it out first"
+
+    assert message(fn -> Situ.scan(stream(), 0, :not_a_function) end) =~
+             ~r/^Situ.scan does not take these arguments after the first; write Situ.scan\(stream, 0/
+
+    assert message(fn -> Situ.to_list(fn -> :ok end) end) =~ "not a function of arity 0"
     assert message(fn -> Situ.to_list(stream()) end) =~ "a function that builds a pipeline"
     assert message(fn -> Pipeline.remove(self(), :side) end) =~ ~s|(p, "Side")|
   end

@@ -143,7 +143,7 @@ defmodule Situ.LifecycleTest do
     end
   end
 
-  property "whoever stops a part is answered once", numtests: 100 do
+  property "each caller that stops a part is answered once", numtests: 100 do
     forall {spec, parts, seed} <- {graph(), list(list(integer(1, 10))), integer(1, 1_000_000)} do
       world = World.live(made(spec), Enum.map(parts, &{:part, &1}) ++ [{:stop, 3}], seed)
       asked = for {:event, {:stop_part, _, _, %{from: from}}} <- world.log, do: from

@@ -95,7 +95,7 @@ defmodule Situ.Lifecycle.PartialStopTest do
 
     for path <- ~w(Count Main), do: assert(states[path] == :running)
 
-    # These close by themselves: each tells the pipeline of its last input once the component has seen it close.
+    # These close by themselves: the pipeline hears of a closed input only after the component has handled it.
     assert eventually(fn -> match?(%{"Next" => :closed, "Outside" => :closed}, states(p)) end)
 
     assert {:ok, report} = Pipeline.stop(p)

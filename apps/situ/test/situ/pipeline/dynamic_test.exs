@@ -59,7 +59,7 @@ defmodule Situ.Pipeline.DynamicTest do
     assert_receive {:last, _}
 
     calls =
-      for n <- 1..(100 * Situ.Test.Property.times()),
+      for n <- 1..(100 * Situ.Test.Budget.times()),
           do: Task.async(fn -> call(:rand.uniform(6), p, n) end)
 
     assert Enum.all?(Task.await_many(calls, 60_000), &(&1 == :ok))

@@ -9,8 +9,8 @@ defmodule Situ.Pipeline.StressTest do
   @moduletag timeout: 120_000
 
   # How many of each; `SITU_TIMES` searches longer.
-  @schedules 100 * Situ.Test.Property.times()
-  @pipelines 400 * Situ.Test.Property.times()
+  @schedules 100 * Situ.Test.Budget.times()
+  @pipelines 400 * Situ.Test.Budget.times()
 
   test "random schedules of start, stop and kill end in time with no process left" do
     :rand.seed(:exsss, {ExUnit.configuration()[:seed], 2, 3})

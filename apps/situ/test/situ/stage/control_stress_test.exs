@@ -67,7 +67,7 @@ defmodule Situ.Stage.ControlStressTest do
 
   test "random requests under load are all answered" do
     p = start()
-    each = 25 * Situ.Test.Property.times()
+    each = 25 * Situ.Test.Budget.times()
     answers = answers(p, each)
     assert length(answers) == 8 * each
     assert Enum.all?(answers, &(&1 == :ok or match?({:ok, _}, &1)))

@@ -66,7 +66,7 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
 
   defp open(p, input, 0), do: Situ.Media.open(p, input, audio_format: @sound)
 
-  # Pictures and sound are read one by one, each at times of its own; nothing begins before the pictures do.
+  # Pictures and sound are read separately, so that their times can differ; no sound is read from before the pictures.
   defp open(p, file, shift) do
     {:ok, info} = Situ.Media.FileInfo.read(file)
     start = (info.recorded_at || 0) + shift

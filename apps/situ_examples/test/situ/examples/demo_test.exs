@@ -126,7 +126,7 @@ defmodule Situ.Examples.DemoTest do
     {:ok, truth} = Truth.read(@truth)
     truth = %{truth | frames: 200}
     assert Score.of(truth, recording.found).frame_accuracy >= 0.96
-    # The words before: nothing about 1970 is left unsaid.
+    # The output explains the year 1970.
     assert out =~ "1970" and out =~ "latencies in the recording are not real time"
   end
 

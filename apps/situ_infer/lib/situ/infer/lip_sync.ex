@@ -48,7 +48,7 @@ defmodule Situ.Infer.LipSync do
   @spec estimate([{Situ.Time.t(), %{term() => Mouth.t()}}], [{Situ.Time.t(), Voice.t()}]) :: t()
   def estimate(mouths, voices) do
     voices = List.to_tuple(voices)
-    windows = mouths |> windows() |> thin() |> Enum.filter(&voiced?(&1, voices))
+    windows = mouths |> cut_windows() |> thin_out() |> Enum.filter(&voiced?(&1, voices))
     curve = for shift <- -@most..@most//@step, do: {shift, agreement(windows, voices, shift)}
     {shift, top} = Enum.max_by(curve, fn {shift, value} -> {value, -abs(shift)} end)
     other = for {at, value} <- curve, abs(at - shift) > @peak, do: value
@@ -62,7 +62,7 @@ defmodule Situ.Infer.LipSync do
   end
 
   @doc """
-  Tells whether sound and pictures are clearly out of step: by 80 ms or more, with enough confidence.
+  Returns whether sound and pictures are clearly out of step: by 80 ms or more, with enough confidence.
 
       iex> Situ.Infer.LipSync.off?(%Situ.Infer.LipSync{shift: -300_000_000, confidence: 0.7, windows: 40})
       true
@@ -76,36 +76,39 @@ defmodule Situ.Infer.LipSync do
   end
 
   # Overlapping windows of pictures.
-  defp windows([]), do: []
+  defp cut_windows([]), do: []
 
-  defp windows([{start, _} | _] = mouths) do
+  defp cut_windows([{start, _} | _] = mouths) do
     window = Enum.take_while(mouths, fn {time, _} -> time < start + @window end)
-    rest = Enum.drop_while(mouths, fn {time, _} -> time < start + @hop end)
-    if rest == [], do: [window], else: [window | windows(rest)]
+    [window | cut_windows(Enum.drop_while(mouths, fn {time, _} -> time < start + @hop end))]
   end
 
-  defp thin(windows) do
+  defp thin_out(windows) do
     every = max(div(length(windows) + @most_windows - 1, @most_windows), 1)
     Enum.take_every(windows, every)
   end
 
   # The same windows are compared at every shift, so that the shifts have equal chances.
   defp voiced?(window, voices) do
-    heard = for {time, _} <- window, voice = nearest(voices, time), do: voice.probability
+    heard = for {time, _} <- window, voice = nearest_voice(voices, time), do: voice.probability
     length(heard) >= @min_pictures and Enum.count(heard, &(&1 > @voiced)) * 2 >= length(heard)
   end
 
   defp agreement([], _voices, _shift), do: 0.0
 
   defp agreement(windows, voices, shift) do
-    sum = for window <- windows, reduce: 0.0, do: (sum -> sum + best(window, voices, shift))
+    sum =
+      for window <- windows, reduce: 0.0, do: (sum -> sum + best_agreement(window, voices, shift))
+
     sum / length(windows)
   end
 
   # The mouth that agrees best is the speaker's, if anybody's.
-  defp best(window, voices, shift) do
+  defp best_agreement(window, voices, shift) do
     heard =
-      for {time, mouths} <- window, voice = nearest(voices, time + shift), do: {mouths, voice}
+      for {time, mouths} <- window,
+          voice = nearest_voice(voices, time + shift),
+          do: {mouths, voice}
 
     ids = heard |> Enum.flat_map(fn {mouths, _} -> Map.keys(mouths) end) |> Enum.uniq()
 
@@ -128,17 +131,17 @@ defmodule Situ.Infer.LipSync do
   defp loudness(_voice), do: 0.0
 
   # Returns the voice nearest to a time, `nil` where there is none within 40 ms.
-  defp nearest(voices, time), do: nearest(voices, time, 0, tuple_size(voices))
+  defp nearest_voice(voices, time), do: nearest_voice(voices, time, 0, tuple_size(voices))
 
-  defp nearest(voices, time, low, high) when low < high do
+  defp nearest_voice(voices, time, low, high) when low < high do
     middle = div(low + high, 2)
 
     if elem(elem(voices, middle), 0) < time,
-      do: nearest(voices, time, middle + 1, high),
-      else: nearest(voices, time, low, middle)
+      do: nearest_voice(voices, time, middle + 1, high),
+      else: nearest_voice(voices, time, low, middle)
   end
 
-  defp nearest(voices, time, at, _high) do
+  defp nearest_voice(voices, time, at, _high) do
     for(i <- [at - 1, at], i >= 0 and i < tuple_size(voices), do: elem(voices, i))
     |> Enum.min_by(fn {heard, _} -> abs(heard - time) end, fn -> {nil, nil} end)
     |> case do

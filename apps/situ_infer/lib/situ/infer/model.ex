@@ -31,7 +31,7 @@ defmodule Situ.Infer.Model do
       type: :non_neg_integer,
       default: 3,
       doc:
-        "Runs before the first real one. Free sizes are 1 in them: a model that does not accept that is not warmed up."
+        "Runs before the first real one. They set free sizes to 1; a model that does not accept that is not warmed up."
     ],
     example: [
       type: :map,
@@ -68,7 +68,7 @@ defmodule Situ.Infer.Model do
   size, and a size the file leaves free matches anything), so a wrong file stops a pipeline before its first message,
   with both shapes in the error.
 
-  Weights may be in files of their own next to the model file (ONNX's external data, usual above 2 GB).
+  Weights may be in separate files next to the model file (ONNX's external data, usual above 2 GB).
 
   ## Options
 
@@ -241,7 +241,7 @@ defmodule Situ.Infer.Model do
     with {:ok, times} <- time_runs(model, example, opts[:warm_up], []) do
       {:ok, %{model | where: where(opts[:schedule], times)}}
     else
-      # The free sizes are a guess: what fails may be the guess and not the model.
+      # Free sizes of 1 are a guess, so a failure may come from the guess and not from the model.
       {:error, %Error{code: :model_failed} = error} ->
         if guessed?(model, opts), do: {:ok, model}, else: {:error, not_run(error, model, example)}
 

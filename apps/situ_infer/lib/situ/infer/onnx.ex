@@ -143,7 +143,8 @@ defmodule Situ.Infer.Onnx do
   defp attribute(value) when is_binary(value), do: [text(4, value), int(20, 3)]
   defp attribute(values) when is_list(values), do: [Enum.map(values, &int(8, &1)), int(20, 7)]
 
-  defp constant(name, %Tensor{} = tensor), do: [outline(name, tensor), bytes(9, tensor.data)]
+  defp constant(name, %Tensor{} = tensor),
+    do: [encode_header(name, tensor), bytes(9, tensor.data)]
 
   defp constant(name, {:external, file, offset, tensor}) do
     entries = [location: file, offset: offset, length: byte_size(tensor.data)]
@@ -152,10 +153,10 @@ defmodule Situ.Infer.Onnx do
       for {key, value} <- entries,
           do: bytes(13, [text(1, to_string(key)), text(2, to_string(value))])
 
-    [outline(name, tensor), entries, int(14, 1)]
+    [encode_header(name, tensor), entries, int(14, 1)]
   end
 
-  defp outline(name, tensor) do
+  defp encode_header(name, tensor) do
     dims = tensor.shape |> Tuple.to_list() |> Enum.map(&int(1, &1))
     [dims, int(2, Map.fetch!(@types, tensor.type)), text(8, name)]
   end

@@ -43,7 +43,7 @@ defmodule Situ.Media.Camera do
       type: {:optional, :boolean},
       default: nil,
       doc:
-        "When the camera is lost while it runs, try again every second; `nil`: yes, unless it is to end (`?once`)."
+        "When the camera is lost while it runs, try again every second; `nil`: yes, unless it has an end (`?once`)."
     ],
     stall_timeout: [
       type: :pos_integer,

@@ -8,9 +8,9 @@ defmodule Situ.Media.Capture do
   that a slow operator does not keep it from dropping. When a device is lost (unplugged, stream ended) it is tried
   again every second, if the options say so.
 
-  A sender whose clock jumps (it was restarted, or switched to another file) is set to the pipeline's clock again: the
-  capture logs a warning and counts the jump, and its times go on with the time of arrival. Each stream of a sender has
-  its own stall watch: pictures that stop while the sound goes on are reported.
+  When a sender's clock jumps (the sender was restarted, or switched to another file), it is set to the pipeline's clock
+  again: the capture logs a warning and counts the jump, and later frames are stamped from the time of arrival. Each
+  stream of a sender has its own stall watch, which reports pictures that stop while the sound keeps coming.
 
   `use Situ.Media.Capture`, after `use Situ.Component`, gives a component whose state is a capture everything but its
   `init/1`.
@@ -104,7 +104,7 @@ defmodule Situ.Media.Capture do
     end
   end
 
-  # Unless told, everything is tried again but a source that is meant to end.
+  # By default every source is opened again, unless it is meant to end.
   defp set_reconnect(capture, source) do
     opts =
       Keyword.update(capture.opts, :reconnect, nil, &if(&1 == nil, do: !source[:ends?], else: &1))
@@ -124,7 +124,7 @@ defmodule Situ.Media.Capture do
 
   def info(%__MODULE__{reader: reader} = capture, {:timer, {:watch, reader}}, context)
       when is_pid(reader),
-      do: watch(capture, context)
+      do: check_streams(capture, context)
 
   def info(%__MODULE__{reader: nil} = capture, {:timer, :reconnect}, context) do
     {_, capture} = start(capture, context)
@@ -192,7 +192,7 @@ defmodule Situ.Media.Capture do
     scale =
       if opts[:size], do: ["scale=#{elem(opts[:size], 0)}:#{elem(opts[:size], 1)}"], else: []
 
-    filters = mark(clock, "setpts=") ++ rate(clock, opts[:rate]) ++ scale
+    filters = mark_filter(clock, "setpts=") ++ rate_filter(clock, opts[:rate]) ++ scale
 
     if(filters == [], do: [], else: ["-vf", Enum.join(filters, ",")]) ++
       Decoder.raw_video(opts[:format], nil)
@@ -201,7 +201,7 @@ defmodule Situ.Media.Capture do
   defp video(_outputs, _clock, _opts), do: []
 
   defp audio(%{audio: _}, clock, opts) do
-    marks = mark(clock, "asetpts=")
+    marks = mark_filter(clock, "asetpts=")
 
     case opts[:audio_format] do
       nil -> ~w(-c:a pcm_s16le) ++ Enum.flat_map(marks, &["-af", &1])
@@ -211,16 +211,16 @@ defmodule Situ.Media.Capture do
 
   defp audio(_outputs, _clock, _opts), do: []
 
-  defp mark(:arrival, filter), do: [filter <> Clock.mark_jumps()]
-  defp mark(_clock, _filter), do: []
+  defp mark_filter(:arrival, filter), do: [filter <> Clock.mark_jumps()]
+  defp mark_filter(_clock, _filter), do: []
 
   # A camera is set to a rate; of other streams frames are left out. The filter `fps` would fill each jump of the
   # sender's clock with copies of the last picture.
-  defp rate(_clock, nil), do: []
-  defp rate(:wall, _rate), do: []
-  defp rate(:start, rate), do: ["fps=#{rate}"]
+  defp rate_filter(_clock, nil), do: []
+  defp rate_filter(:wall, _rate), do: []
+  defp rate_filter(:start, rate), do: ["fps=#{rate}"]
 
-  defp rate(:arrival, rate),
+  defp rate_filter(:arrival, rate),
     do: ["select='isnan(prev_t)+gt(floor(t*#{rate}),floor(prev_t*#{rate}))'"]
 
   # The offset to add to the capture's times; `nil` until the first frame gives it.
@@ -234,7 +234,7 @@ defmodule Situ.Media.Capture do
     kinds = for {_, %{class: kind}} <- streams, is_map_key(capture.outputs, kind), do: kind
     watch = StallWatch.new(kinds, capture.opts[:stall_timeout], context.now)
     capture = %{capture | streams: streams, lost: nil, watch: watch, silent: []}
-    {watch_again(capture, context), capture}
+    {schedule_watch(capture, context), capture}
   end
 
   defp result({:frame, frame}, capture, context) do
@@ -245,16 +245,16 @@ defmodule Situ.Media.Capture do
 
     case Clock.place(capture.times, kind, time, context.now) do
       {:ok, time, times} ->
-        capture = note(%{capture | times: times}, kind, time, context)
+        capture = note_frame(%{capture | times: times}, kind, time, context)
         accept(capture, kind, time, amplify(data, capture.opts[:gain]), context)
 
       {:wait, times} ->
         Reader.ask(capture.reader, 1)
-        {[], note(%{capture | times: times}, kind, nil, context)}
+        {[], note_frame(%{capture | times: times}, kind, nil, context)}
 
       {:jump, by, times} ->
         Reader.ask(capture.reader, 1)
-        capture = note(%{capture | times: times}, kind, nil, context)
+        capture = note_frame(%{capture | times: times}, kind, nil, context)
         {[], report_jump(capture, kind, by)}
     end
   end
@@ -295,28 +295,28 @@ defmodule Situ.Media.Capture do
     {[{:complete, Enum.max(times, fn -> 0 end)}], %{capture | ended: false}}
   end
 
-  defp note(capture, kind, time, %{now: now}),
+  defp note_frame(capture, kind, time, %{now: now}),
     do: %{capture | watch: StallWatch.note(capture.watch, kind, time, now)}
 
   defp report_jump(capture, kind, by) do
     Logger.warning(
       "#{capture.address}: the sender's clock jumped by #{Situ.Time.format_duration(by)} (#{kind}), " <>
-        "as when it restarts; its times go on with the time of arrival"
+        "as when it restarts; later frames are stamped from the time of arrival"
     )
 
     %{capture | jumps: capture.jumps + 1}
   end
 
-  # A stream that stops while the other one flows is reported: opening the device again would stop the other one, too.
-  # Frames that keep coming with one and the same time are another matter: ffmpeg has lost the sender's clock.
-  defp watch(%{opts: opts} = capture, context) do
+  # A stream that stops while the other one flows is only reported: opening the device again would interrupt the other
+  # one. When frames keep coming with the same time, ffmpeg has lost the sender's clock, and the device is opened again.
+  defp check_streams(%{opts: opts} = capture, context) do
     %{silent: silent, stuck: stuck} = StallWatch.check(capture.watch, context.now)
 
     if stuck != [] and opts[:reconnect] do
       lost(capture, "the times of its #{Enum.join(stuck, " and ")} do not move", context)
     else
       report_silence(silent -- capture.silent, capture)
-      {watch_again(capture, context), %{capture | silent: silent}}
+      {schedule_watch(capture, context), %{capture | silent: silent}}
     end
   end
 
@@ -328,12 +328,12 @@ defmodule Situ.Media.Capture do
   end
 
   # Only a sender has several streams that can stop one by one.
-  defp watch_again(%{clock: :arrival, opts: opts} = capture, context) do
+  defp schedule_watch(%{clock: :arrival, opts: opts} = capture, context) do
     period = min(div(opts[:stall_timeout], 4), 1_000_000_000)
     [{:timer, {:watch, capture.reader}, context.now + max(period, 1_000_000)}]
   end
 
-  defp watch_again(_capture, _context), do: []
+  defp schedule_watch(_capture, _context), do: []
 
   # A simulated device can be early: the frame waits for its time, and no further one is asked for.
   defp accept(%{clock: :start} = capture, kind, time, data, %{now: now}) when time > now do

@@ -29,7 +29,7 @@ defmodule Situ.Media.Microphone do
       type: {:optional, :boolean},
       default: nil,
       doc:
-        "When the device is lost while it runs, try again every second; `nil`: yes, unless it is to end (`?once`)."
+        "When the device is lost while it runs, try again every second; `nil`: yes, unless it has an end (`?once`)."
     ],
     stall_timeout: [
       type: :pos_integer,

@@ -153,7 +153,7 @@ defmodule Situ.Sound.Channels do
   end
 
   @doc false
-  # A result that is not a number cannot come back from a kernel: then the fault is in the samples.
+  # A kernel cannot return a result that is not a number, so such a failure comes from the samples.
   @spec name_bad_samples({:ok, term()} | {:error, Error.t()}, AudioBuffer.t(), String.t()) ::
           {:ok, term()} | {:error, Error.t()}
   def name_bad_samples({:error, %Error{code: :bad_option} = error}, buffer, operation) do
@@ -164,8 +164,8 @@ defmodule Situ.Sound.Channels do
       sample ->
         {:error,
          Error.new(:bad_audio, "#{operation}: sample #{sample} is not a number",
-           why: "the sound holds NaN or infinity, as of a division by zero",
-           fix: "mend the source of the sound; samples of #{buffer.format.sample} are -1.0 to 1.0"
+           why: "the sound contains NaN or infinity, for example after a division by zero",
+           fix: "fix the source of the sound; samples of #{buffer.format.sample} are -1.0 to 1.0"
          )}
     end
   end

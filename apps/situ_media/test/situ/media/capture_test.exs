@@ -98,7 +98,7 @@ defmodule Situ.Media.CaptureTest do
     refute Process.alive?(reader)
   end
 
-  test "a clock that jumps is told with the streams it is of, and its times go on" do
+  test "a jump of the clock is reported with its stream, and times continue from the arrival" do
     before = for t <- 0..20, frame <- [picture(40 * t), sound(40 * t)], do: {frame, 40 * t}
     capture = capture(reconnect: false) |> feed(before)
     step = 10_000_000_000

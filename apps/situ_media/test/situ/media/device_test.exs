@@ -6,6 +6,7 @@ defmodule Situ.Media.DeviceTest do
   import Situ.Media.TestPipelines
   alias Situ.{AudioBuffer, Image, Sound, Time}
   alias Situ.Media.{Camera, Device, LiveStream, Microphone, Speaker}
+  alias Situ.Test.FreePort
 
   @moduletag :tmp_dir
 
@@ -241,7 +242,7 @@ defmodule Situ.Media.DeviceTest do
     end
 
     test "a UDP stream arrives with pictures and sound" do
-      port = free_port()
+      port = FreePort.udp()
 
       sender =
         Situ.Media.FFmpeg.start(System.find_executable("ffmpeg"), [
@@ -274,13 +275,6 @@ defmodule Situ.Media.DeviceTest do
       assert Enum.all?(steps(got.video), &(abs(rem(&1 + Time.ms(1), Time.ms(40))) <= Time.ms(2)))
       # Times are near the clock.
       assert Enum.all?(got.video, fn {time, now, _} -> abs(now - time) < Time.s(10) end)
-    end
-
-    defp free_port do
-      {:ok, socket} = :gen_udp.open(0, ip: {127, 0, 0, 1})
-      {:ok, port} = :inet.port(socket)
-      :gen_udp.close(socket)
-      port
     end
   end
 end

@@ -4,8 +4,9 @@ defmodule Situ.Media.LiveStreamTest do
   import ExUnit.CaptureLog
   alias Situ.{AudioBuffer, Image, Time}
   alias Situ.Media.{FFmpeg, FFmpeg.Reader, LiveStream}
+  alias Situ.Test.FreePort
 
-  # Each sender shows one colour, so that a picture tells whose it is.
+  # Each sender shows its own colour, so that a picture shows which sender it is from.
   @red [0, 0, 254]
   @blue [254, 0, 0]
 
@@ -19,7 +20,7 @@ defmodule Situ.Media.LiveStreamTest do
   end
 
   defp start_live(opts) do
-    port = free_port()
+    port = FreePort.udp()
     test = self()
 
     {:ok, pipeline} =
@@ -39,13 +40,6 @@ defmodule Situ.Media.LiveStreamTest do
     {port, pipeline}
   end
 
-  defp free_port do
-    {:ok, socket} = :gen_udp.open(0, ip: {127, 0, 0, 1})
-    {:ok, port} = :inet.port(socket)
-    :gen_udp.close(socket)
-    port
-  end
-
   # The time of the next picture with this colour, and when it was there.
   defp await_colour(colour) do
     assert_receive {:video, time, now, %Image{} = image}, 30_000
@@ -56,13 +50,13 @@ defmodule Situ.Media.LiveStreamTest do
       else: await_colour(colour)
   end
 
-  # FFmpeg takes the second for a clock of 33 bits that has run over: to it, the time leaps ahead.
+  # FFmpeg takes the jump from 100 s for the overflow of a 33-bit clock, so its times leap ahead.
   for from <- [50, 100] do
     test "a sender that restarts after #{from} s is seen at once, and the times go on" do
       log =
         capture_log(fn ->
           {port, pipeline} = start_live(reconnect: true)
-          # A sender that has run for long.
+          # A sender that has been running for a while.
           first = start_sender(port, "red", from: unquote(from))
           {last_red, _} = await_colour(@red)
           assert_receive {:audio, _, _, %AudioBuffer{}}, 30_000
@@ -91,7 +85,7 @@ defmodule Situ.Media.LiveStreamTest do
     if sound > time, do: {:ok, sound}, else: await_audio_after(time)
   end
 
-  # A look at the pipeline asks the component; a later look has its answer.
+  # `info/1` asks the component for its description, and a later call returns it.
   defp await_description(pipeline, text, tries \\ 500) do
     [%{description: description} | _] = Situ.Pipeline.info(pipeline).nodes
     assert tries > 0
@@ -103,7 +97,7 @@ defmodule Situ.Media.LiveStreamTest do
 
   test "a network that falls silent is lost after the stall timeout, not after ffmpeg's own" do
     # It would wait for ever: nothing arrives at this port after the first second.
-    port = free_port()
+    port = FreePort.udp()
     url = "udp://127.0.0.1:#{port}"
 
     {:ok, reader} =

@@ -1,12 +1,21 @@
 defmodule Situ.Test.Budget do
   @moduledoc """
-  How long tests search: small by default, hours with `bin/test --long`.
+  How long tests search: briefly by default, for hours with `bin/test --long`.
 
       for _ <- 1..Situ.Test.Budget.mutations(500), do: ...
 
-  ExUnit seeds the random numbers of each test by its `--seed`, so a search needs no seed of its own. In another process
-  than the test's, `seed/0` gives one that follows from it.
+  ExUnit seeds the random numbers of each test from its `--seed`, so a search in the test's process needs no seed. For
+  other processes, `seed/0` returns one that follows from ExUnit's.
   """
+
+  @doc """
+  Returns how many times longer than usual a search lasts: the environment variable `SITU_TIMES`, 1 by default.
+
+      iex> Situ.Test.Budget.times() >= 1
+      true
+  """
+  @spec times() :: pos_integer()
+  def times, do: "SITU_TIMES" |> System.get_env("1") |> String.to_integer() |> max(1)
 
   @doc """
   Returns how many damaged inputs a test tries: `usual`, or the number in the environment variable `SITU_MUTATIONS`.

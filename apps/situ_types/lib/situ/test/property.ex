@@ -63,36 +63,18 @@ defmodule Situ.Test.Property do
     flags = [
       :quiet,
       :long_result,
-      {:numtests, Keyword.get(opts, :numtests, 100) * times()},
+      {:numtests, Keyword.get(opts, :numtests, 100) * Situ.Test.Budget.times()},
       {:max_size, Keyword.get(opts, :max_size, 42)}
     ]
 
-    case :proper.quickcheck(:proper.forall(seeded(generator), &holds?(fun, &1)), flags) do
+    # PropEr continues with the random numbers of its process.
+    :rand.seed(:exsplus, {ExUnit.configuration()[:seed] || 0, 0, 0})
+
+    case :proper.quickcheck(:proper.forall(generator, &holds?(fun, &1)), flags) do
       true -> :ok
       {:error, reason} -> fail("the property could not be checked: #{inspect(reason)}", [])
       [input | _] -> explain(fun, input)
     end
-  end
-
-  @doc """
-  Returns how many times longer than usual a search lasts: `SITU_TIMES`, 1 by default.
-
-      iex> Situ.Test.Property.times() >= 1
-      true
-  """
-  @spec times() :: pos_integer()
-  def times, do: "SITU_TIMES" |> System.get_env("1") |> String.to_integer() |> max(1)
-
-  # PropEr takes no seed: each input gets one from ExUnit's and from its number.
-  defp seeded(generator) do
-    seed = ExUnit.configuration()[:seed] || 0
-    count = :counters.new(1, [])
-
-    :proper_types.lazy(fn ->
-      :counters.add(count, 1, 1)
-      :rand.seed(:exsplus, {seed, :counters.get(count, 1), 0})
-      generator
-    end)
   end
 
   defp holds?(fun, input) do

@@ -53,8 +53,7 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   end
 
   @doc """
-  These stages were removed: nothing in the graph names them any more. The life cycle lets go of each once its process
-  has ended.
+  Takes removed stages out of the graph. The life cycle drops each of them after its process has ended.
   """
   @spec forget(State.t(), [pos_integer()]) :: State.t()
   def forget(state, ids) do

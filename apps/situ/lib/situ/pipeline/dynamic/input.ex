@@ -169,7 +169,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
   defp added(vertex, link),
     do: vertex.inputs ++ [{link.input, %{type: :any, optional: true}}]
 
-  # The first vertex of a stage, in what a restart begins with and in the graph, if it has not been removed from there.
+  # Changes the first vertex of a stage: what a restart begins with, and the graph, unless it was removed from that.
   defp change(state, id, fun) do
     stage = Map.fetch!(state.stages, id)
     [head | rest] = stage.vertices

@@ -159,9 +159,9 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   end
 
   defp put(state, id, tap),
-    do: %{state | dynamic: taps(state.dynamic, &Map.put(&1, id, tap))}
+    do: %{state | dynamic: update_taps(state.dynamic, &Map.put(&1, id, tap))}
 
-  # Its name is free; what else belongs to its stage stays until the life cycle has let it go.
+  # This frees its name. Everything else that belongs to its stage stays until the life cycle drops the stage.
   defp forget(state, id, tap) do
     {vertex, vertices} = Map.pop(state.graph.vertices, id)
 
@@ -172,17 +172,17 @@ defmodule Situ.Pipeline.Dynamic.Tap do
         paths: Map.delete(state.graph.paths, vertex && vertex.path)
     }
 
-    %{state | graph: graph, dynamic: taps(state.dynamic, &Map.delete(&1, id))}
+    %{state | graph: graph, dynamic: update_taps(state.dynamic, &Map.delete(&1, id))}
   end
 
-  @doc "A stage is dropped: if it is a tap's, nothing is left of the tap."
+  @doc "Deletes the tap of a stage that is being dropped, if it is the stage of a tap."
   @spec drop(State.t(), pos_integer()) :: State.t()
   def drop(%{dynamic: %{taps: taps} = dynamic} = state, id) do
     with %{^id => %{monitor: monitor}} <- taps, do: Process.demonitor(monitor, [:flush])
-    %{state | dynamic: taps(dynamic, &Map.delete(&1, id))}
+    %{state | dynamic: update_taps(dynamic, &Map.delete(&1, id))}
   end
 
-  defp taps(dynamic, change), do: %{dynamic | taps: change.(dynamic.taps)}
+  defp update_taps(dynamic, change), do: %{dynamic | taps: change.(dynamic.taps)}
 
   defp unique(graph, name) do
     Stream.iterate(2, &(&1 + 1))

@@ -21,7 +21,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
       end
     end
 
-  # Whoever stands still does not hold up the source.
+  # A consumer that stands still does not hold up the source.
   defp lossy, do: [async: true, policy: Situ.Delivery.latest()]
 
   defp stage_ids(p), do: Map.keys(:sys.get_state(p).stages)
@@ -44,7 +44,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
     assert_receive {:tap, _}
     stop = Task.async(fn -> Pipeline.stop(p) end)
     assert eventually(fn -> :sys.get_state(p).life.step == :close end)
-    # The mark for the tap is still on its way: it stands in its first message.
+    # The closing mark has not reached the tap, which is still handling its first message.
     assert :ok = Situ.detach_tap(tap)
     assert Pipeline.state(p) == :stopping
     send(slow, :go)
@@ -101,7 +101,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
       assert {:ok, %{errors: []}} = Pipeline.stop(p)
     end
 
-    test "a part of which some was stopped already goes as a whole" do
+    test "a part with a component that was stopped before is removed as a whole" do
       {:ok, p} = start(&numbers/1)
 
       assert {:ok, :ok} =
@@ -118,7 +118,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
       assert {:ok, %{errors: []}} = Pipeline.stop(p)
     end
 
-    test "a part that is being stopped, by somebody else" do
+    test "a part that another process is stopping" do
       me = self()
       {:ok, p} = start(&numbers/1)
       assert {:ok, :ok} = extend(p, "Side", &Situ.each(&1, stand_still(me, :side), async: true))

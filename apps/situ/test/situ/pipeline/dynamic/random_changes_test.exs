@@ -11,7 +11,7 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
   @count 2_000
   @changes 25
   @count_per_change div(@count, 2 * @changes)
-  @rounds 2 * Situ.Test.Property.times()
+  @rounds 2 * Situ.Test.Budget.times()
 
   # A source that is slow enough for changes to happen, and three streams of it.
   defp build(to, changed) do
@@ -32,18 +32,20 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
     end
   end
 
-  # The source stays with it: a pipeline whose sources have ended answers some changes only at its end.
+  # The source cannot run ahead: a pipeline whose sources have ended answers some changes only at its end.
   defp gate, do: [async: true, policy: Situ.Delivery.throttle(1), name: "Gate"]
 
-  # Messages flow on with every change, so that all changes happen while messages flow.
+  # Every change lets more messages through, so that all changes happen while messages flow.
   defp wait_for_change(number, to, changed) do
     if number == 0, do: send(to, {:gate, self()})
-    if rem(number, @count_per_change) == 0, do: wait(changed, div(number, @count_per_change))
+
+    if rem(number, @count_per_change) == 0,
+      do: await_changes(changed, div(number, @count_per_change))
   end
 
-  defp wait(changed, n) do
+  defp await_changes(changed, n) do
     if :counters.get(changed, 1) < n,
-      do: receive(do: (:changed -> wait(changed, n))),
+      do: receive(do: (:changed -> await_changes(changed, n))),
       else: :ok
   end
 
@@ -66,7 +68,7 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
     end
   end
 
-  defp work(p, changed, seed) do
+  defp make_changes(p, changed, seed) do
     fn ->
       :rand.seed(:exsss, seed)
 
@@ -76,7 +78,7 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
         changed.(1)
 
         if kind < 4,
-          do: Process.put(:added, [named({elem(seed, 2), n}) | Process.get(:added, [])])
+          do: Process.put(:added, [name_of({elem(seed, 2), n}) | Process.get(:added, [])])
 
         assert answered?(answer), "#{inspect(seed)}: #{inspect(answer)}"
         {kind, answer}
@@ -89,12 +91,12 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
 
   defp stream(p), do: "s#{:rand.uniform(4) - 1}" |> then(&Pipeline.stream(p, &1))
   # One of the names that this process has added, or once had.
-  defp added(at), do: Enum.random([named(at) | Process.get(:added, [])])
-  defp named({worker, n}), do: "Added#{worker}_#{n}"
+  defp pick_added(at), do: Enum.random([name_of(at) | Process.get(:added, [])])
+  defp name_of({worker, n}), do: "Added#{worker}_#{n}"
 
   defp change(kind, p, at) when kind in [1, 2] do
     Pipeline.extend(p, fn p ->
-      Situ.composite(stream(p), named(at), fn stream ->
+      Situ.composite(stream(p), name_of(at), fn stream ->
         stream |> Situ.map(& &1, async: kind == 1) |> Situ.each(& &1, async: true)
       end)
     end)
@@ -104,16 +106,16 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
     Pipeline.extend(p, fn p ->
       streams = {stream(p), Pipeline.stream(p, "s0")}
 
-      Situ.composite(p, named(at), fn _ ->
+      Situ.composite(p, name_of(at), fn _ ->
         Situ.join(elem(streams, 0), elem(streams, 1), Situ.Reproducible.exact())
       end)
     end)
   end
 
   defp change(kind, p, at) when kind in [4, 5],
-    do: Pipeline.remove(p, added(at))
+    do: Pipeline.remove(p, pick_added(at))
 
-  defp change(6, p, at), do: Pipeline.stop_part(p, added(at))
+  defp change(6, p, at), do: Pipeline.stop_part(p, pick_added(at))
 
   defp change(7, p, _at) do
     with {:ok, tap} <- Situ.attach_tap({p, "s#{:rand.uniform(4) - 1}"}, fn _ -> :ok end) do
@@ -150,7 +152,7 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
       {result, seen, answers} =
         run(fn p, changed ->
           1..2
-          |> Enum.map(&Task.async(work(p, changed, {seed, round, &1})))
+          |> Enum.map(&Task.async(make_changes(p, changed, {seed, round, &1})))
           |> Task.await_many(60_000)
           |> List.flatten()
           |> tap(fn _ -> changed.(@count) end)

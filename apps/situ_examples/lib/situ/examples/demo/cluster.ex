@@ -10,7 +10,7 @@ defmodule Situ.Examples.Demo.Cluster do
     --input FILE   a media file (default: the clip that comes with Situ)
     --out FOLDER   where both recordings go (default: "recordings/cluster")
     --kill PART    whose node is killed (default: lips)
-    --headless     as without it: no studio is served here
+    --headless     has no effect: this demo never starts the studio
 
   Exit status: 0 equal, 1 not equal or failed, 2 wrong usage.
   """
@@ -185,7 +185,7 @@ defmodule Situ.Examples.Demo.Cluster do
         host: ~c"127.0.0.1",
         longnames: true,
         connection: :standard_io,
-        exec: erlang(),
+        exec: erlang_command(),
         args: args,
         wait_boot: 120_000
       })
@@ -198,8 +198,8 @@ defmodule Situ.Examples.Demo.Cluster do
     started
   end
 
-  # Erlang looks for the modules of its start in the current folder: that is one of ours until "." is out of its path.
-  defp erlang do
+  # While it starts, Erlang also loads modules from the current folder, so it starts in one of ours.
+  defp erlang_command do
     erl = System.find_executable("erl") || Path.join([:code.root_dir(), "bin", "erl"])
     folder = Path.join(to_string(:code.priv_dir(:situ_examples)), "demo")
     start = ["-c", ~S(cd "$0" && erl=$1 && shift && exec "$erl" "$@"), folder, erl]

@@ -3,8 +3,8 @@ defmodule Situ.Examples.Demo.Recording do
   The content of a recording of the demo: who was seen where, who spoke when, and how late each decision came.
 
     * `frames`: pictures with a decision; `media_s`: how long they last
-    * `found`: per picture, its time from the first and the faces with their rectangles and whether they speak; none
-      where there is no decision on it
+    * `found`: per picture, its time from the first and the faces with their rectangles and whether they speak; no
+      faces for a picture without a decision
     * `spoken`: `{face id, from, to}` in nanoseconds from the first picture, in the order of time
     * `utterances`: `Situ.Infer.Speech.Utterance`s, with times from the first picture
     * `sync`: a `Situ.Infer.LipSync`, how late or early the sound is against the lips

@@ -5,8 +5,8 @@ defmodule Situ.Examples.Demo.Score do
   A picture is right when exactly the faces speak that should; pictures within 0.2 s of an edge of a segment are not
   scored. A tracked face counts as the true one whose box it overlaps most, and as a stranger when it overlaps none.
 
-  A clip may leave pictures out (a variable frame rate): a picture, and the decision on it, stands until the next one.
-  A picture with no decision has nobody speaking, and so has the time after the last one. `false_speech_s` and
+  A clip may leave pictures out (a variable frame rate): a picture, and the decision on it, counts until the next one.
+  In a picture with no decision nobody speaks, nor after the last picture. `false_speech_s` and
   `missed_speech_s` add up over faces.
 
       iex> json = ~s({"fps": 10, "frames": 10, "faces": [{"id": 0, "box": [0, 0, 9, 9]}],
@@ -37,7 +37,8 @@ defmodule Situ.Examples.Demo.Score do
   @spec of(Truth.t(), found()) :: t()
   def of(%Truth{} = truth, found) do
     rows =
-      for {i, faces} <- hold(found, truth), not Truth.near_edge?(truth, i / truth.fps) do
+      for {i, faces} <- hold_decisions(found, truth),
+          not Truth.near_edge?(truth, i / truth.fps) do
         {Truth.speakers(truth, i / truth.fps), said(truth, faces)}
       end
 
@@ -59,7 +60,7 @@ defmodule Situ.Examples.Demo.Score do
   end
 
   # Each picture of the truth, with what was found in the picture that is shown at its time.
-  defp hold(found, truth) do
+  defp hold_decisions(found, truth) do
     shown = for {time, faces} <- found, do: {round(time * truth.fps / 1.0e9), faces}
     # Of several pictures in one place the last counts.
     shown = shown |> Map.new() |> Enum.sort()

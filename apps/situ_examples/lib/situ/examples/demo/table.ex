@@ -64,16 +64,16 @@ defmodule Situ.Examples.Demo.Table do
     sync = sync(result)
     lateness = if sync.shift > 0, do: "late", else: "early"
     ms = div(abs(sync.shift), 1_000_000)
-    told = "The sound is #{ms} ms #{lateness} against the lips (confidence #{sync.confidence})"
+    message = "The sound is #{ms} ms #{lateness} against the lips (confidence #{sync.confidence})"
 
     cond do
-      opts[:sync] -> [told, ": it was moved by that for all that follows.\n"]
-      Situ.Infer.LipSync.off?(sync) -> [told, ": who speaks is not to be relied on.\n"]
+      opts[:sync] -> [message, ": it was moved by that for the following results.\n"]
+      Situ.Infer.LipSync.off?(sync) -> [message, ": do not rely on who speaks.\n"]
       true -> []
     end
   end
 
-  # A file that does not say when it was made begins at the epoch: somebody may wonder about the year.
+  # A file without a creation time begins at the epoch, so the year needs an explanation.
   defp origin(%{start: start, frames: frames}) when frames > 0 and start < 86_400_000_000_000,
     do: "\nThe clip does not say when it was made: its times count from 1970-01-01."
 

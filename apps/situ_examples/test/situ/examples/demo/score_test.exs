@@ -16,7 +16,7 @@ defmodule Situ.Examples.Demo.ScoreTest do
   defp found(frames),
     do: for(i <- frames, do: {i * 100_000_000, [{Rect.new!(1, 1, 9, 9), i in 10..29}]})
 
-  test "a picture stands until the next: pictures that are left out are not silence" do
+  test "a picture counts until the next one: pictures that are left out are not silence" do
     whole = Score.of(truth(), found(0..49))
     assert {whole.frame_accuracy, whole.missed_speech_s} == {1.0, 0.0}
 

@@ -4,8 +4,8 @@ defmodule Situ.Media.Capture.Clock do
   # pipeline's clock when its first frames arrive, and set again when it jumps: a sender that restarts begins at zero.
   #
   # FFmpeg's muxer cannot write times that go back: it replaces them by the last time and one tick. So a filter marks
-  # each jump backwards by adding a step that no real clock makes (`mark_jumps/0`), and this module takes it off again.
-  # Both streams of a sender share its clock: each part of its time between two jumps is an epoch with one offset.
+  # each jump backwards by adding a step that no real clock makes (`mark_jumps/0`), and this module subtracts it again.
+  # Both streams of a sender share its clock: the time between two jumps is an epoch with one offset.
 
   # One step of the mark, in seconds and in nanoseconds: 115 days.
   @step_s 10_000_000
@@ -55,28 +55,28 @@ defmodule Situ.Media.Capture.Clock do
         moved = %{stream | out: out, raw: raw, marks: stream.marks + marks}
 
         if marks > 0 or ahead?(clock, stream, raw, now),
-          do: jump(clock, kind, moved, raw - stream.raw, now),
-          else: clock |> put_stream(kind, moved) |> read(kind, now)
+          do: follow_jump(clock, kind, moved, raw - stream.raw, now),
+          else: clock |> put_stream(kind, moved) |> read_time(kind, now)
 
       _ ->
-        first(clock, kind, %{out: out, raw: out, marks: 0, epoch: 0}, now)
+        place_first(clock, kind, %{out: out, raw: out, marks: 0, epoch: 0}, now)
     end
   end
 
   # A sender has one clock, so its second stream joins the first one's, however late it begins.
-  defp first(%{epochs: epochs} = clock, kind, stream, now) when map_size(epochs) == 0,
+  defp place_first(%{epochs: epochs} = clock, kind, stream, now) when map_size(epochs) == 0,
     do: {:wait, clock |> put_stream(kind, stream) |> begin_epoch(0, stream.raw, now)}
 
-  defp first(clock, kind, stream, now) do
+  defp place_first(clock, kind, stream, now) do
     newest = clock.epochs |> Map.keys() |> Enum.max()
-    clock |> put_stream(kind, %{stream | epoch: newest}) |> read(kind, now)
+    clock |> put_stream(kind, %{stream | epoch: newest}) |> read_time(kind, now)
   end
 
-  defp jump(clock, kind, stream, by, now) do
+  defp follow_jump(clock, kind, stream, by, now) do
     newest = clock.epochs |> Map.keys() |> Enum.max()
 
-    if newest > stream.epoch and fits?(clock.epochs[newest], now - stream.raw) do
-      clock |> put_stream(kind, %{stream | epoch: newest}) |> read(kind, now)
+    if newest > stream.epoch and same_clock?(clock.epochs[newest], now - stream.raw) do
+      clock |> put_stream(kind, %{stream | epoch: newest}) |> read_time(kind, now)
     else
       clock = put_stream(clock, kind, %{stream | epoch: newest + 1})
       {:jump, by, begin_epoch(clock, newest + 1, stream.raw, now)}
@@ -89,8 +89,8 @@ defmodule Situ.Media.Capture.Clock do
     %{clock | epochs: Map.put(kept, number, {:settling, now + @settle, now - raw})}
   end
 
-  # The smallest delay seen in the first moments is the one to go by.
-  defp read(clock, kind, now) do
+  # The smallest delay during the first moments sets the clock.
+  defp read_time(clock, kind, now) do
     %{epoch: number, raw: raw} = Map.fetch!(clock.streams, kind)
 
     case Map.fetch!(clock.epochs, number) do
@@ -106,7 +106,7 @@ defmodule Situ.Media.Capture.Clock do
     end
   end
 
-  # Streams that come in large pieces (HLS) are ahead all the time, in small steps; a jump is one large step.
+  # Streams that arrive in large segments (HLS) are always ahead, but in small steps; a jump is one large step.
   defp ahead?(clock, stream, raw, now) do
     case Map.fetch!(clock.epochs, stream.epoch) do
       {:set, offset} -> raw - stream.raw > @ahead and raw + offset > now + @ahead
@@ -114,8 +114,8 @@ defmodule Situ.Media.Capture.Clock do
     end
   end
 
-  defp fits?({:settling, _until, delay}, own), do: abs(own - delay) < @same_clock
-  defp fits?({:set, offset}, own), do: abs(own - offset) < @same_clock
+  defp same_clock?({:settling, _until, delay}, own), do: abs(own - delay) < @same_clock
+  defp same_clock?({:set, offset}, own), do: abs(own - offset) < @same_clock
 
   defp put_stream(clock, kind, stream), do: put_in(clock.streams[kind], stream)
   defp put_epoch(clock, number, epoch), do: put_in(clock.epochs[number], epoch)

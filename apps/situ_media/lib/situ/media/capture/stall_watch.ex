@@ -1,15 +1,15 @@
 defmodule Situ.Media.Capture.StallWatch do
   @moduledoc false
-  # Watches each stream of a sender by itself: whether its frames still arrive, and whether their times still move. The
-  # reader below sees only a sender that has fallen silent as a whole.
+  # Watches each stream of a sender separately: whether its frames still arrive, and whether their times still increase.
+  # The reader notices only a sender that sends nothing at all.
 
   defstruct [:timeout, streams: %{}]
 
   @typep seen :: %{arrived: Situ.Time.t(), moved: Situ.Time.t(), time: Situ.Time.t() | nil}
   @type t :: %__MODULE__{timeout: pos_integer(), streams: %{atom() => seen()}}
 
-  # Times that go on by less than this part of the timeout do not move: ffmpeg's muxer makes them so, a tick a frame.
-  @part 10
+  # Times that increase by less than this fraction of the timeout are stuck: ffmpeg's muxer then adds a tick a frame.
+  @fraction 10
 
   @spec new([atom()], pos_integer(), Situ.Time.t()) :: t()
   def new(kinds, timeout, now) do
@@ -25,14 +25,14 @@ defmodule Situ.Media.Capture.StallWatch do
     moved =
       cond do
         time == nil -> %{seen | moved: now}
-        seen.time && time - seen.time < div(watch.timeout, @part) -> seen
+        seen.time && time - seen.time < div(watch.timeout, @fraction) -> seen
         true -> %{seen | time: time, moved: now}
       end
 
     %{watch | streams: Map.put(watch.streams, kind, moved)}
   end
 
-  @doc "Returns the streams of which nothing has arrived for the timeout, and those whose times have not moved."
+  @doc "Returns the streams without a frame for longer than the timeout, and the streams whose times are stuck."
   @spec check(t(), Situ.Time.t()) :: %{silent: [atom()], stuck: [atom()]}
   def check(%__MODULE__{timeout: timeout} = watch, now) do
     {silent, heard} =

@@ -210,8 +210,8 @@ defmodule Situ.Media.FFmpeg.Reader do
 
   defp read(state), do: {state.finished, state}
 
-  # Only after the end of its output is ffmpeg about to exit. One that has stalled, or sends what nobody can read,
-  # would never do so by itself.
+  # FFmpeg is about to exit only if its output has ended. After a stall, or output that cannot be parsed, it may never
+  # exit by itself.
   defp finish(reason, state) do
     {status, state} = if reason == :eof, do: exit_status(state), else: {:none, close(state)}
     :gen_tcp.close(state.socket)

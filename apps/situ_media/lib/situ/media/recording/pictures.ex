@@ -11,12 +11,13 @@ defmodule Situ.Media.Recording.Pictures do
   @kept_bytes 64 * 1_048_576
   # One answer holds no more than this, however many are asked for.
   @answer_bytes 16 * 1_048_576
-  # Whoever steps back by fewer pictures than this wants the ones before next: they are decoded together.
+  # After a step back by at most this many pictures, the pictures before are likely to be wanted next: they are decoded
+  # together.
   @back 24
   # A replay and a person who looks elsewhere.
   @decoders 2
-  # The costs of a decoder, about: its start, and each pixel of a picture that it skips (decoded only) or hands over
-  # (converted to BGR and sent, too).
+  # Rough costs of a decoder: its start, and each pixel of a picture that it skips (decoded only) or hands over
+  # (also converted to BGR and sent).
   @start_ns 80_000_000
   @skip_ns 1.5
   @read_ns 6.0
@@ -94,7 +95,7 @@ defmodule Situ.Media.Recording.Pictures do
       else: open(state, first_wanted(state, ordinal, key))
   end
 
-  # A decoder hands over each picture on the way; a new one only skips them, but begins at the key picture.
+  # A running decoder hands over each picture on the way; a new one only skips them, but begins at the key picture.
   defp near?(%{info: %{video: video}}, ahead, from_key) do
     pixels = video.width * video.height
     ahead * pixels * (@skip_ns + @read_ns) <= @start_ns + from_key * pixels * @skip_ns

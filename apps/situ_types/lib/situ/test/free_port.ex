@@ -1,0 +1,29 @@
+defmodule Situ.Test.FreePort do
+  @moduledoc """
+  Ports of 127.0.0.1 that no program uses, for servers that a test starts.
+
+  A port is free when it is returned: another program could take it before the test does.
+
+      iex> Situ.Test.FreePort.tcp() in 1..65_535 and Situ.Test.FreePort.udp() in 1..65_535
+      true
+  """
+  @loopback [ip: {127, 0, 0, 1}]
+
+  @doc "Returns a free TCP port."
+  @spec tcp() :: :inet.port_number()
+  def tcp do
+    {:ok, socket} = :gen_tcp.listen(0, @loopback)
+    {:ok, port} = :inet.port(socket)
+    :gen_tcp.close(socket)
+    port
+  end
+
+  @doc "Returns a free UDP port."
+  @spec udp() :: :inet.port_number()
+  def udp do
+    {:ok, socket} = :gen_udp.open(0, @loopback)
+    {:ok, port} = :inet.port(socket)
+    :gen_udp.close(socket)
+    port
+  end
+end

@@ -1,0 +1,5 @@
+defmodule Situ.Test.FreePortTest do
+  use ExUnit.Case, async: true
+
+  doctest Situ.Test.FreePort
+end
