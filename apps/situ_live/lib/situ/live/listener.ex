@@ -24,7 +24,7 @@ defmodule Situ.Live.Listener do
       {:ok, sconf} ->
         Process.monitor(:yaws_server)
         crowd_tick()
-        {:ok, %{config: config, sconf: sconf, tick: tick()}}
+        {:ok, %{config: config, sconf: sconf, tick: tick(), peers: MapSet.new()}}
 
       {:error, error} ->
         Endpoint.erase(config.ref)
@@ -46,9 +46,10 @@ defmodule Situ.Live.Listener do
   end
 
   def handle_info(:crowd, state) do
-    for pid <- Peers.excess(state.config.port), pid != self(), do: Process.exit(pid, :kill)
+    {excess, peers} = Peers.find_excess(state.config.port, state.peers)
+    for pid <- excess, pid != self(), do: Process.exit(pid, :kill)
     crowd_tick()
-    {:noreply, state}
+    {:noreply, %{state | peers: peers}}
   end
 
   # Yaws starts again without its ports: so do we.

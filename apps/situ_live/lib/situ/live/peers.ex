@@ -6,17 +6,28 @@ defmodule Situ.Live.Peers do
   # Half of what the web server takes.
   @most 1_000
 
-  @doc "The processes of connections beyond what one address may hold of a port."
-  @spec excess(:inet.port_number(), pos_integer()) :: [pid()]
-  def excess(port, most \\ @most) do
+  @doc """
+  Returns the processes of connections beyond what one address may hold of a port, and all processes that stay.
+
+  Connections that were there at the last look (`earlier`, what it returned) stay before those that came since.
+  """
+  @spec find_excess(:inet.port_number(), MapSet.t(pid()), pos_integer()) ::
+          {[pid()], MapSet.t(pid())}
+  def find_excess(port, earlier, most \\ @most) do
     # Looking costs a few microseconds a connection; with few there is nothing to see.
-    if :erlang.system_info(:port_count) > most do
-      port
-      |> connections()
-      |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
-      |> Enum.flat_map(fn {_address, pids} -> Enum.drop(pids, most) end)
+    if :erlang.system_info(:port_count) > div(most, 2) do
+      {stay, excess} =
+        port
+        |> connections()
+        |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
+        |> Enum.map(fn {_address, pids} ->
+          pids |> Enum.sort_by(&(&1 not in earlier)) |> Enum.split(most)
+        end)
+        |> Enum.unzip()
+
+      {List.flatten(excess), stay |> List.flatten() |> MapSet.new()}
     else
-      []
+      {[], MapSet.new()}
     end
   end
 
@@ -26,7 +37,6 @@ defmodule Situ.Live.Peers do
         {:ok, {_, ^port}} <- [:inet.sockname(socket)],
         {:ok, {address, _}} <- [:inet.peername(socket)],
         {:connected, pid} <- [:erlang.port_info(socket, :connected)],
-        # In order of age: those that came first stay.
         do: {address, pid}
   end
 end

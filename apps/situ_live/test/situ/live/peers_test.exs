@@ -3,22 +3,27 @@ defmodule Situ.Live.PeersTest do
   use ExUnit.Case, async: false
   alias Situ.Live.Peers
 
-  test "what one address holds beyond its share is told, the others' is not" do
+  test "the newest connections beyond the share of an address are found, no other address's" do
     {:ok, listener} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
     {:ok, port} = :inet.port(listener)
+    first = connect(listener, port, {127, 0, 0, 2})
+    second = connect(listener, port, {127, 0, 0, 2})
+    assert {[], earlier} = Peers.find_excess(port, MapSet.new(), 2)
+    assert earlier == MapSet.new([first, second])
 
-    accepted =
-      for address <- [{127, 0, 0, 2}, {127, 0, 0, 2}, {127, 0, 0, 2}, {127, 0, 0, 3}] do
-        {:ok, _} = :gen_tcp.connect({127, 0, 0, 1}, port, ip: address)
-        {:ok, socket} = :gen_tcp.accept(listener)
-        owner = spawn(fn -> Process.sleep(:infinity) end)
-        :ok = :gen_tcp.controlling_process(socket, owner)
-        owner
-      end
-
-    [_, _, third, _] = accepted
+    third = connect(listener, port, {127, 0, 0, 2})
+    other = connect(listener, port, {127, 0, 0, 3})
     # The connecting ends are sockets of this test's own process; their port is another.
-    assert Peers.excess(port, 2) == [third]
-    assert Peers.excess(port, 4) == []
+    assert {[^third], earlier} = Peers.find_excess(port, earlier, 2)
+    assert earlier == MapSet.new([first, second, other])
+    assert {[], _all} = Peers.find_excess(port, earlier, 4)
+  end
+
+  defp connect(listener, port, address) do
+    {:ok, _} = :gen_tcp.connect({127, 0, 0, 1}, port, ip: address)
+    {:ok, socket} = :gen_tcp.accept(listener)
+    owner = spawn(fn -> Process.sleep(:infinity) end)
+    :ok = :gen_tcp.controlling_process(socket, owner)
+    owner
   end
 end
