@@ -69,10 +69,19 @@ defmodule Driver do
         opts
       )
 
-    {:ok, deployment} = Nodes.call(nodes, :deploy, [Sums, opts])
+    deployment = deploy(nodes, opts)
     nodes = trouble.(deployment, nodes)
     answer = Nodes.call(nodes, :await, [deployment, 240_000])
     {answer, deployment, nodes}
+  end
+
+  # As the error says: what did not arrive is repeated, and nothing is done twice.
+  defp deploy(nodes, opts, tries \\ 10) do
+    case Nodes.call(nodes, :deploy, [Sums, opts]) do
+      {:ok, deployment} -> deployment
+      {:error, %{code: :log_away}} when tries > 1 -> deploy(nodes, opts, tries - 1)
+      {:error, error} -> raise error
+    end
   end
 
   defp same?({:ok, deployment, nodes}, count) do

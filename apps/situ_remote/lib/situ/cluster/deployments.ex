@@ -16,7 +16,11 @@ defmodule Situ.Cluster.Deployments do
   @typedoc "By name; `deployment` is `nil` when it was forgotten."
   @type known :: %{String.t() => %{run: String.t(), deployment: Deployment.t() | nil}}
 
-  @doc "Notes a deployment and gives it its run. One that is noted under the same name must be the same."
+  @doc """
+  Notes a deployment and gives it its run. One that is noted under the same name must be the same.
+
+  After an error with the code `:log_away`, the same call finishes what the first one began.
+  """
   @spec put(Log.t(), Deployment.t()) :: {:ok, Deployment.t()} | {:error, Error.t()}
   def put(log, %Deployment{} = deployment) do
     with {:ok, deployment} <- put_deployment(log, deployment),
@@ -26,19 +30,21 @@ defmodule Situ.Cluster.Deployments do
 
   defp put_deployment(log, %{name: name} = deployment) do
     update(log, fn known ->
-      with {:ok, run} <- choose_run(log, name, known[name]) do
+      with :ok <- check_same(known[name], deployment),
+           {:ok, run} <- choose_run(log, name, known[name]) do
         deployment = %{deployment | run: run}
-
-        case known[name] do
-          %{deployment: %Deployment{} = other} when other != deployment ->
-            {:error, duplicate_error(name)}
-
-          _ ->
-            {:ok, Map.put(known, name, %{run: run, deployment: deployment}), deployment}
-        end
+        {:ok, Map.put(known, name, %{run: run, deployment: deployment}), deployment}
       end
     end)
   end
+
+  defp check_same(%{run: run, deployment: %Deployment{} = other}, deployment) do
+    if other == %{deployment | run: run},
+      do: :ok,
+      else: {:error, duplicate_error(deployment.name)}
+  end
+
+  defp check_same(_unknown_or_forgotten, _deployment), do: :ok
 
   # It keeps the run that it had, as long as the log of that run exists.
   defp choose_run(_log, _name, nil), do: {:ok, new_run()}
