@@ -38,13 +38,17 @@ have() { command -v "$1" >/dev/null 2>&1; }
 # version_at_least HAVE WANT: true when HAVE >= WANT, compared number by number.
 version_at_least() { [ "$(printf '%s\n%s\n' "$2" "$1" | sort -V | head -n 1)" = "$2" ]; }
 
+check_writable() {
+  mkdir -p "$SITU_STATE/log" 2>/dev/null ||
+    fail "cannot write to $SITU_ROOT" "the checkout is read-only" "copy it to a folder you may write to"
+}
+
 # step LABEL COMMAND...: runs a long command with its output in a log, shows that it lives, and on failure the end of
 # the log. On a terminal one line counts the seconds; elsewhere one line a minute is printed.
 step() {
   local label=$1 log started now said=0
   shift
-  mkdir -p "$SITU_STATE/log" 2>/dev/null ||
-    fail "cannot write to $SITU_ROOT" "the checkout is read-only" "copy it to a folder you may write to"
+  check_writable
   log="$SITU_STATE/log/$(printf '%s' "$label" | tr -cs 'A-Za-z0-9' '-' | cut -c1-40).log"
   started=$(date +%s)
   # A process group of its own would not get Ctrl-C; the plain background job does, and is ended with us.
@@ -87,15 +91,21 @@ built_since() {
     -o -type f -newer "$stamp" -print -quit 2>/dev/null)" ]
 }
 
-# build_prod: compiles everything for use, when a source changed since the last time.
+# build_prod: compiles everything for use, when a source changed since the last time. Programs that start at the same
+# time wait for the first one to build.
 build_prod() {
-  local stamp="$SITU_ROOT/_build/prod/.built"
+  local stamp="$SITU_ROOT/_build/prod/.built" lock
   cd "$SITU_ROOT"
+  built_since "$stamp" apps native config mix.exs && return
+  check_writable
+  exec {lock}>"$SITU_STATE/build.lock"
+  flock --nonblock "$lock" || { say "Waiting for another build ..." && flock "$lock"; }
   if ! built_since "$stamp" apps native config mix.exs; then
     MIX_ENV=prod step "Building Situ (minutes the first time, seconds later)" mix compile ||
       fail "the build failed" "see the messages above" "mend the code, or run bin/setup if a tool or library is missing"
     touch "$stamp"
   fi
+  exec {lock}>&-
 }
 
 # elixir_prod ARGS...: runs elixir on the production build, without mix. Ctrl-C ends it, with the status people expect (130).
