@@ -20,7 +20,12 @@ defmodule Situ.Bridge.Mqtt do
         "A name under which the broker keeps (with `qos: 1`) what this subscriber misses while it is away."
     ],
     username: [type: {:optional, :string}, default: nil, doc: "As whom to log in."],
-    password: [type: {:optional, :string}, default: nil, doc: "With what."]
+    password: [
+      type: {:optional, {:or, [:string, {:fun, 0}]}},
+      default: nil,
+      doc:
+        "The password, or a function that returns it. Neither the graph nor the state of a process shows it."
+    ]
   ]
   @schema @own ++ Net.Dial.options()
   @moduledoc """
@@ -52,7 +57,7 @@ defmodule Situ.Bridge.Mqtt do
   """
   @spec publish(Situ.Stream.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
   def publish(stream, host, topic, opts \\ []) do
-    Situ.via(stream, Sink, [host: host, topic: topic] ++ opts)
+    Situ.via(stream, Sink, [host: host, topic: topic] ++ hide_password(opts))
     stream
   end
 
@@ -66,11 +71,19 @@ defmodule Situ.Bridge.Mqtt do
   @spec subscribe(Situ.Pipeline.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
   def subscribe(p, host, topic, opts \\ []) do
     {own, opts} = Keyword.split(opts, Keyword.keys(@schema))
-    own = Situ.Options.validate!(own, @schema)
+    own = own |> hide_password() |> Situ.Options.validate!(@schema)
     id = own[:session] || "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
     arg = [id: id, topic: topic] ++ Keyword.drop(own, [:port, :tls])
     port = own[:port] || if(own[:tls] in [nil, false], do: 1_883, else: 8_883)
     Net.Source.connect(p, {Subscription, arg}, host, port, [tls: own[:tls]] ++ opts)
+  end
+
+  # Options go into the graph and into the states of processes, which logs and observers show.
+  defp hide_password(opts) do
+    case opts[:password] do
+      password when is_binary(password) -> Keyword.put(opts, :password, fn -> password end)
+      _function_or_none -> opts
+    end
   end
 
   @doc "The name that all bridges have for their way out: `publish/4`."

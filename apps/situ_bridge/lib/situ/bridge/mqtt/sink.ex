@@ -22,7 +22,11 @@ defmodule Situ.Bridge.Mqtt.Sink do
               doc: "Who subscribes later begins with the last message."
             ],
             username: [type: {:optional, :string}, default: nil, doc: "As whom to log in."],
-            password: [type: {:optional, :string}, default: nil, doc: "With what."]
+            password: [
+              type: {:optional, {:or, [:string, {:fun, 0}]}},
+              default: nil,
+              doc: "The password, or a function that returns it."
+            ]
           ] ++ Dial.options() ++ Keyword.drop(Outlet.options(), [:listening, :wait_for])
   @moduledoc false
   # A stream to a topic.

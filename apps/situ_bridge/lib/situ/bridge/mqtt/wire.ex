@@ -17,17 +17,21 @@ defmodule Situ.Bridge.Mqtt.Wire do
   def connect(opts) do
     clean = if opts[:session], do: 0, else: 2
     user = if opts[:username], do: 0x80, else: 0
-    password = if opts[:password], do: 0x40, else: 0
-    texts = for text <- [opts[:username], opts[:password]], text, do: text(text)
+    password = read_password(opts[:password])
+    password_flag = if password, do: 0x40, else: 0
+    texts = for text <- [opts[:username], password], text, do: text(text)
     # Keep-alive is off: no packets are sent only to be answered.
     packet(1, 0, [
       text("MQTT"),
       4,
-      clean ||| user ||| password,
+      clean ||| user ||| password_flag,
       <<0::16>>,
       text(opts[:id]) | texts
     ])
   end
+
+  defp read_password(password) when is_function(password, 0), do: password.()
+  defp read_password(password), do: password
 
   @spec subscribe(1..65_535, String.t(), 0..1) :: iodata()
   def subscribe(id, filter, qos), do: packet(8, 2, [<<id::16>>, text(filter), qos])
