@@ -31,6 +31,8 @@ defmodule Situ.Bridge.ImportTest do
       assert {:ok, %{data: %Situ.ImuReading{}} = imu} = Store.at(store, "/imu/data_raw", 3)
       assert {:ok, %{data: message}} = Store.at(maps, "/imu/data_raw", 3)
       assert imu.originating_time == message["header"]["stamp"]
+      {:ok, recorded} = unquote(file) |> Store.open!() |> Store.at("/imu/data_raw", 3)
+      assert imu.creation_time == recorded.originating_time
       assert {:ok, %{data: extra}} = Store.at(store, "/imu/data_raw.extra", 3)
       assert extra["header"] == message["header"]
 

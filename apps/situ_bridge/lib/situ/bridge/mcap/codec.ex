@@ -32,9 +32,23 @@ defmodule Situ.Bridge.Mcap.Codec do
     ]
   ]
 
-  @doc "The option of readers."
+  @times [
+    times: [
+      type: {:in, [:log, :header]},
+      default: :log,
+      doc:
+        "Originating times: when a message was recorded, or the stamp of its header (the former where it has none). " <>
+          "The stamps are read when the file is opened; `creation_time` is when a message was recorded."
+    ]
+  ]
+
+  @doc "The options of readers."
   @spec options() :: Situ.Options.schema()
   def options, do: @schema
+
+  @doc "The option of bags that chooses their originating times."
+  @spec time_options() :: Situ.Options.schema()
+  def time_options, do: @times
 
   @doc "How a channel is read, its `Situ.Type`, and a note when its messages stay bytes."
   @spec new(String.t(), schema(), String.t()) :: {t(), Situ.Type.t(), String.t() | nil}

@@ -6,15 +6,7 @@ defmodule Situ.Bridge.Ros.Bag do
   alias Situ.{Error, Message}
   alias Situ.Store.{StreamInfo, Undecoded}
 
-  @schema [
-            times: [
-              type: {:in, [:log, :header]},
-              default: :log,
-              doc:
-                "Originating times: when a message was recorded, or the stamp of its header (the former where it " <>
-                  "has none). The stamps are read when the file is opened."
-            ]
-          ] ++ Codec.options()
+  @schema Codec.time_options() ++ Codec.options()
 
   @moduledoc """
   Bags of ROS 1 (version 2.0) as recordings: `Situ.Store.open("drive.bag")`, and so in the studio, `bin/situ store`,
@@ -115,8 +107,9 @@ defmodule Situ.Bridge.Ros.Bag do
             row <- rows,
             do: row
 
-      places =
-        if times == :header and Codec.stamps(codec), do: stamped(state, places), else: places
+      recorded = places |> Enum.map(&elem(&1, 0)) |> Enum.min_max(fn -> {nil, nil} end)
+      stamps? = times == :header and Codec.stamps(codec) != nil
+      places = if stamps?, do: stamped(state, places), else: places
 
       track = %{
         id: elem(hd(connections), 0),
@@ -127,6 +120,8 @@ defmodule Situ.Bridge.Ros.Bag do
         note: note,
         count: length(places),
         places: Places.pack(places),
+        recorded: recorded,
+        stamps?: stamps?,
         schema: if(opts[:messages] == :apart, do: {type, "ros1msg", definition})
       }
 
@@ -157,7 +152,7 @@ defmodule Situ.Bridge.Ros.Bag do
 
   defp first(state, track) do
     with %{count: count} when count > 0 <- track,
-         {:ok, [{_, bytes}]} <- messages(state, [Places.at(track.places, 0)]),
+         {:ok, [{_, {_, bytes}}]} <- messages(state, [Places.at(track.places, 0)]),
          {:ok, data} <- Codec.decode(track.codec, bytes),
          do: data,
          else: (_ -> nil)
@@ -166,7 +161,8 @@ defmodule Situ.Bridge.Ros.Bag do
   defp stamped(state, places) do
     case messages(state, Enum.sort_by(places, fn {_, chunk, offset} -> {chunk, offset} end)) do
       {:ok, found} ->
-        for {{time, chunk, offset}, bytes} <- found, do: {stamp(bytes) || time, chunk, offset}
+        for {{time, chunk, offset}, {_, bytes}} <- found,
+            do: {stamp(bytes) || time, chunk, offset}
 
       {:error, _} ->
         places
@@ -195,6 +191,8 @@ defmodule Situ.Bridge.Ros.Bag do
           {elem(Places.at(track.places, 0), 0), elem(Places.at(track.places, track.count - 1), 0)},
         else: {nil, nil}
 
+    {first_recorded, last_recorded} = track.recorded
+
     info = %StreamInfo{
       id: track.id,
       name: name,
@@ -207,8 +205,8 @@ defmodule Situ.Bridge.Ros.Bag do
       count: track.count,
       first: first,
       last: last,
-      first_creation: first,
-      last_creation: last,
+      first_creation: first_recorded,
+      last_creation: last_recorded,
       supplemental: Extra.metadata([], track.schema)
     }
 
@@ -254,34 +252,41 @@ defmodule Situ.Bridge.Ros.Bag do
     places = Places.slice(track.places, ordinal, to, limit)
 
     cond do
-      places == [] -> {:ok, [], ordinal}
-      opts[:envelopes] -> {:ok, envelopes(track, places, ordinal), ordinal + length(places)}
-      true -> decoded(state, track, places, ordinal)
+      places == [] ->
+        {:ok, [], ordinal}
+
+      opts[:envelopes] && not track.stamps? ->
+        {:ok, envelopes(track, places, ordinal), ordinal + length(places)}
+
+      true ->
+        decoded(state, track, places, ordinal, opts[:envelopes] == true)
     end
   end
 
-  defp envelopes(track, places, ordinal),
-    do:
-      for(
-        {{time, _, _}, at} <- Enum.with_index(places, ordinal),
-        do: message(track, time, at, nil)
-      )
+  # Without reading the messages: their times are those of recording.
+  defp envelopes(track, places, ordinal) do
+    for {{time, _, _}, at} <- Enum.with_index(places, ordinal),
+        do: message(track, time, time, at, nil)
+  end
 
-  defp decoded(state, track, places, ordinal) do
+  defp decoded(state, track, places, ordinal, envelopes?) do
     with {:ok, found} <- messages(state, places) do
       messages =
-        for {{{time, _, _}, bytes}, at} <- Enum.with_index(found, ordinal),
-            do: message(track, time, at, bytes |> data(track.codec) |> RealSense.data(track.unit))
+        for {{{time, _, _}, {recorded, bytes}}, at} <- Enum.with_index(found, ordinal) do
+          data = if not envelopes?, do: bytes |> data(track.codec) |> RealSense.data(track.unit)
+
+          message(track, time, if(track.stamps?, do: recorded, else: time), at, data)
+        end
 
       {:ok, messages, ordinal + length(messages)}
     end
   end
 
-  defp message(track, time, ordinal, data),
+  defp message(track, time, recorded, ordinal, data),
     do: %Message{
       data: data,
       originating_time: time,
-      creation_time: time,
+      creation_time: recorded,
       sequence_id: ordinal + 1,
       source_id: track.id
     }
@@ -293,8 +298,8 @@ defmodule Situ.Bridge.Ros.Bag do
     end
   end
 
-  # The bytes of messages, no more than fit into a batch: a chunk is unpacked once for all of its messages that follow
-  # each other.
+  # Times of recording and bytes of messages, no more than fit into a batch: a chunk is unpacked once for all of its
+  # messages that follow each other.
   defp messages(state, places) do
     with_file(state.path, fn file ->
       places
@@ -332,12 +337,13 @@ defmodule Situ.Bridge.Ros.Bag do
           Error.new(:damaged, "the index of the chunk at byte #{at} points at no message")}},
       else:
         {:cont,
-         {:ok, [rows | found], bytes + (rows |> Enum.map(&byte_size(elem(&1, 1))) |> Enum.sum())}}
+         {:ok, [rows | found],
+          bytes + (rows |> Enum.map(fn {_, {_, body}} -> byte_size(body) end) |> Enum.sum())}}
   end
 
   defp body(records, offset) when offset < byte_size(records) do
     case Record.take(binary_part(records, offset, byte_size(records) - offset)) do
-      {:ok, :message, _fields, data, _rest} -> data
+      {:ok, :message, fields, data, _rest} -> {Record.time(fields["time"]), data}
       _ -> nil
     end
   end

@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.Ros.Db3 do
-  alias Situ.Bridge.Mcap.Codec
+  alias Situ.Bridge.Mcap.{Codec, Extra}
 
-  @schema Codec.options()
+  @schema Codec.time_options() ++ Codec.options()
   @moduledoc """
   Bags of ROS 2 in SQLite (`.db3`) as recordings: `Situ.Store.open("drive/drive_0.db3")`, and so in the studio,
   `bin/situ store`, replay.
 
-  A topic is a stream, its times those of the recorder. Messages (CDR) are decoded by the definitions in the file, which
+  A topic is a stream. Messages (CDR) are decoded by the definitions in the file, which
   ROS 2 writes since Iron, or else by ROS's own ones; standard ones are Situ's types (`Situ.Bridge.Ros.Standard`). Each
   file of a bag that was split is a recording. The file is read by the program `sqlite3` (Debian's package of that
   name), a process of its own, and never written.
@@ -16,9 +16,13 @@ defmodule Situ.Bridge.Ros.Db3 do
   #{Situ.Options.docs(@schema)}
   """
   @behaviour Situ.Store.Reader
+  alias Situ.Bridge.Ros.Db3.Sqlite
   alias Situ.Bridge.Ros.{Definition, Library, Places}
-  alias Situ.{Error, Message}
+  alias Situ.Message
   alias Situ.Store.{StreamInfo, Undecoded}
+
+  # A message that another program deleted after the file was opened.
+  @gone %Undecoded{codec: "cdr", bytes: "", reason: "the message is gone"}
 
   # Bytes of the messages of one batch.
   @most 16 * 1024 * 1024
@@ -32,28 +36,34 @@ defmodule Situ.Bridge.Ros.Db3 do
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, topics} <-
-           query(path, "select id, name, type, serialization_format from topics order by id"),
+           Sqlite.query(
+             path,
+             "select id, name, type, serialization_format from topics order by id"
+           ),
          {:ok, definitions} <- definitions(path),
-         {:ok, rows} <- query(path, "select topic_id, timestamp, id, length(data) from messages") do
+         {:ok, rows} <-
+           Sqlite.query(path, "select topic_id, timestamp, id, length(data) from messages") do
       places =
         rows |> numbers() |> Enum.group_by(&hd/1, fn [_, time, id, size] -> {time, id, size} end)
-
-      name = Path.basename(path, ".db3")
 
       tracks =
         for topic <- topics, track = track(topic, definitions, places, opts[:messages]), do: track
 
-      notes = for %{note: note} = track <- tracks, note != nil, do: "#{track.topic}: #{note}"
-
-      {:ok,
-       %__MODULE__{
-         path: path,
-         name: name,
-         tracks: Map.new(tracks, &{&1.id, &1}),
-         streams: Enum.map(tracks, &stream(&1, name, path)),
-         notes: notes
-       }}
+      with {:ok, tracks} <- put_stamps(tracks, path, opts[:times]),
+           do: {:ok, new(path, Enum.flat_map(tracks, &[&1 | extra(&1, opts[:messages])]))}
     end
+  end
+
+  defp new(path, tracks) do
+    name = Path.basename(path, ".db3")
+
+    %__MODULE__{
+      path: path,
+      name: name,
+      tracks: Map.new(tracks, &{&1.id, &1}),
+      streams: Enum.map(tracks, &stream(&1, name, path)),
+      notes: for(%{note: note} = track <- tracks, note != nil, do: "#{track.topic}: #{note}")
+    }
   end
 
   defp numbers(rows) do
@@ -68,7 +78,7 @@ defmodule Situ.Bridge.Ros.Db3 do
     there = "select name from sqlite_master where type = 'table' and name = 'message_definitions'"
     all = "select topic_type, encoding, hex(encoded_message_definition) from message_definitions"
 
-    with {:ok, [_]} <- query(path, there), {:ok, rows} <- query(path, all) do
+    with {:ok, [_]} <- Sqlite.query(path, there), {:ok, rows} <- Sqlite.query(path, all) do
       {:ok,
        for(
          [type, "ros2msg", hex] <- rows,
@@ -97,15 +107,20 @@ defmodule Situ.Bridge.Ros.Db3 do
         {codec, situ, note} = Codec.new(format, schema, topic)
         codec = Codec.shaped(codec, messages)
 
-        places =
-          Places.pack(
-            for {time, at, size} <- Map.get(places, id, []),
-                at >= 0,
-                size >= 0,
-                do: {time, at, size}
-          )
+        rows = for {_, at, size} = row <- Map.get(places, id, []), at >= 0, size >= 0, do: row
 
-        %{id: id, topic: topic, type: plain, codec: codec, situ: situ, note: note, places: places}
+        %{
+          id: id,
+          topic: topic,
+          type: plain,
+          codec: codec,
+          situ: situ,
+          note: note,
+          recorded: rows |> Enum.map(&elem(&1, 0)) |> Enum.min_max(fn -> {nil, nil} end),
+          places: Places.pack(rows),
+          stamps?: false,
+          schema: if(messages == :apart, do: schema)
+        }
 
       _ ->
         nil
@@ -114,9 +129,72 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   defp track(_other, _definitions, _places, _messages), do: nil
 
+  # Takes originating times from headers, where messages begin with one.
+  defp put_stamps(tracks, path, :header) do
+    case for(%{id: id, codec: codec} <- tracks, Codec.stamps(codec), do: id) do
+      [] ->
+        {:ok, tracks}
+
+      ids ->
+        sql =
+          "select topic_id, timestamp, id, length(data), hex(substr(data, 1, 12)) from messages " <>
+            "where topic_id in (#{Enum.join(ids, ",")})"
+
+        with {:ok, rows} <- Sqlite.query(path, sql) do
+          stamped =
+            rows |> Enum.flat_map(&stamped_place/1) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
+
+          {:ok, for(track <- tracks, do: put_places(track, stamped[track.id]))}
+        end
+    end
+  end
+
+  defp put_stamps(tracks, _path, :log), do: {:ok, tracks}
+
+  defp stamped_place(row) do
+    {numbers, [start]} = Enum.split(row, 4)
+
+    for [topic, recorded, id, size] <- numbers([numbers]),
+        {:ok, bytes} <- [Base.decode16(start)],
+        do: {topic, {stamp(bytes) || recorded, id, size}}
+  end
+
+  # CDR: a byte of padding, the order of bytes, two bytes of options, then seconds and nanoseconds.
+  defp stamp(<<_, 1, _::16, 0::64>>), do: nil
+  defp stamp(<<_, 0, _::16, 0::64>>), do: nil
+  defp stamp(<<_, 1, _::16, s::little-signed-32, ns::little-32>>), do: s * 1_000_000_000 + ns
+  defp stamp(<<_, 0, _::16, s::signed-32, ns::32>>), do: s * 1_000_000_000 + ns
+  defp stamp(_other), do: nil
+
+  defp put_places(track, nil), do: track
+  defp put_places(track, rows), do: %{track | places: Places.pack(rows), stamps?: true}
+
+  # The second stream of an import, of the fields that Situ's types have no place for.
+  defp extra(%{codec: codec, situ: situ} = track, :apart) do
+    if Codec.lossy?(codec, situ) do
+      [
+        %{
+          track
+          | id: Extra.number(track.id),
+            topic: Extra.name(track.topic),
+            type: "map",
+            codec: Codec.extra(codec),
+            situ: :map,
+            note: nil,
+            schema: nil
+        }
+      ]
+    else
+      []
+    end
+  end
+
+  defp extra(_track, _messages), do: []
+
   defp stream(track, name, path) do
     count = Places.count(track.places)
     {first, last} = if count > 0, do: {time(track, 0), time(track, count - 1)}, else: {nil, nil}
+    {first_recorded, last_recorded} = track.recorded
 
     %StreamInfo{
       id: track.id,
@@ -130,12 +208,16 @@ defmodule Situ.Bridge.Ros.Db3 do
       count: count,
       first: first,
       last: last,
-      first_creation: first,
-      last_creation: last
+      first_creation: first_recorded,
+      last_creation: last_recorded,
+      supplemental: Extra.metadata([], track.schema)
     }
   end
 
   defp time(track, n), do: track.places |> Places.at(n) |> elem(0)
+
+  @impl true
+  defdelegate import_options(times), to: Codec
 
   @doc false
   # For `Situ.Bridge.Recorder.Export`: everything that is in a message.
@@ -175,11 +257,13 @@ defmodule Situ.Bridge.Ros.Db3 do
       rows == [] ->
         {:ok, [], ordinal}
 
-      opts[:envelopes] ->
-        {:ok, messages(rows, ordinal, track, fn _ -> nil end), ordinal + length(rows)}
+      opts[:envelopes] && not track.stamps? ->
+        found = for {time, id, _size} <- rows, into: %{}, do: {id, {time, nil}}
+        {:ok, messages(rows, ordinal, track, found), ordinal + length(rows)}
 
       true ->
-        decoded(state, track, rows, ordinal)
+        with {:ok, found} <- fetch(state, track, rows, opts[:envelopes] == true),
+             do: {:ok, messages(rows, ordinal, track, found), ordinal + length(rows)}
     end
   end
 
@@ -188,32 +272,40 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   defp within(_rows, _bytes), do: []
 
-  defp decoded(state, track, rows, ordinal) do
+  # The times of recording and the data of messages, by their numbers.
+  defp fetch(state, track, rows, envelopes?) do
     ids = Enum.map_join(rows, ",", &elem(&1, 1))
+    column = if envelopes?, do: "''", else: "hex(data)"
 
     with {:ok, found} <-
-           query(state.path, "select id, hex(data) from messages where id in (#{ids})") do
-      data =
-        for [id, hex] <- found, {:ok, bytes} <- [Base.decode16(hex)], into: %{}, do: {id, bytes}
-
-      {:ok, messages(rows, ordinal, track, &data(data[to_string(&1)], track.codec)),
-       ordinal + length(rows)}
+           Sqlite.query(
+             state.path,
+             "select id, timestamp, #{column} from messages where id in (#{ids})"
+           ) do
+      {:ok,
+       for(
+         [id, recorded, hex] <- found,
+         [[id, recorded]] <- [numbers([[id, recorded]])],
+         {:ok, bytes} <- [Base.decode16(hex)],
+         into: %{},
+         do: {id, {recorded, if(not envelopes?, do: data(bytes, track.codec))}}
+       )}
     end
   end
 
-  defp messages(rows, ordinal, track, data) do
+  defp messages(rows, ordinal, track, found) do
     for {{time, id, _}, n} <- Enum.with_index(rows, ordinal) do
+      {recorded, data} = Map.get(found, id, {time, @gone})
+
       %Message{
-        data: data.(id),
+        data: data,
         originating_time: time,
-        creation_time: time,
+        creation_time: if(track.stamps?, do: recorded, else: time),
         sequence_id: n + 1,
         source_id: track.id
       }
     end
   end
-
-  defp data(nil, _codec), do: %Undecoded{codec: "cdr", bytes: "", reason: "the message is gone"}
 
   defp data(bytes, codec) do
     case Codec.decode(codec, bytes) do
@@ -221,62 +313,4 @@ defmodule Situ.Bridge.Ros.Db3 do
       {:error, why} -> %Undecoded{codec: "cdr", bytes: bytes, reason: why}
     end
   end
-
-  # Rows of texts; columns and rows are parted by characters that no name has.
-  defp query(path, sql) do
-    with {:ok, sqlite} <- sqlite(), :ok <- there(path) do
-      args = [
-        "-readonly",
-        "-safe",
-        "-batch",
-        "-noheader",
-        "-list",
-        "-separator",
-        "\x1f",
-        "-newline",
-        "\x1e"
-      ]
-
-      case System.cmd(sqlite, args ++ [Path.expand(path), sql], stderr_to_stdout: true) do
-        {out, 0} ->
-          {:ok, for(row <- String.split(out, "\x1e", trim: true), do: String.split(row, "\x1f"))}
-
-        {out, _} ->
-          {:error,
-           Error.new(:not_bag, "#{path} cannot be read as a bag of ROS 2", why: text(out))}
-      end
-    end
-  end
-
-  defp sqlite do
-    case System.find_executable("sqlite3") do
-      nil ->
-        {:error,
-         Error.new(:no_sqlite, "the program sqlite3 is not installed", fix: "apt install sqlite3")}
-
-      sqlite ->
-        {:ok, sqlite}
-    end
-  end
-
-  defp there(path) do
-    case File.stat(path) do
-      {:ok, %{type: :regular}} ->
-        :ok
-
-      {:ok, _} ->
-        {:error, Error.new(:not_bag, "#{path} is no file")}
-
-      {:error, reason} ->
-        {:error,
-         Error.new(:io, "cannot read #{path}", why: to_string(:file.format_error(reason)))}
-    end
-  end
-
-  defp text(out),
-    do:
-      if(String.valid?(out),
-        do: out |> String.trim() |> String.slice(0, 200),
-        else: "sqlite3 refuses it"
-      )
 end

@@ -63,6 +63,42 @@ defmodule Situ.Bridge.Ros.Db3Test do
     assert {:ok, [%{data: %Undecoded{}}]} = Store.read(store, "/values", from: 2_000)
   end
 
+  test "an import takes times from headers, and keeps times of recording and all fields",
+       context do
+    definition = "geometry_msgs/PoseStamped"
+    {:ok, text} = Library.fetch(definition, :ros2)
+    {:ok, parsed} = Definition.parse(definition, text, :ros2)
+
+    bytes = fn stamp ->
+      header = %{"stamp" => stamp, "frame_id" => "map"}
+      pose = %{"orientation" => %{"w" => 1.0}}
+      {:ok, bytes} = Wire.encode(parsed, %{"header" => header, "pose" => pose}, :cdr)
+      bytes
+    end
+
+    path =
+      bag(context.tmp_dir, """
+      insert into topics values(1, '/pose', 'geometry_msgs/msg/PoseStamped', 'cdr');
+      #{insert(1, 1, 3_000_000_500, bytes.(2_000_000_900))}
+      #{insert(2, 1, 3_000_000_600, bytes.(0))}
+      """)
+
+    {:ok, copy} = Store.copy(path, Path.join(context.tmp_dir, "copy"))
+    store = Store.open!(copy)
+    assert {:ok, [first, second]} = Store.read(store, "/pose")
+    assert %{data: %Situ.Pose{}, originating_time: 2_000_000_900} = first
+    assert first.creation_time == 3_000_000_500
+    # Without a stamp the time of recording is the originating time.
+    assert %{originating_time: 3_000_000_600, creation_time: 3_000_000_600} = second
+    assert {:ok, %{data: extra}} = Store.at(store, "/pose.extra", 0)
+    assert extra["header"]["frame_id"] == "map"
+
+    {:ok, copy} = Store.copy(path, Path.join(context.tmp_dir, "log"), times: :record)
+
+    assert {:ok, %{originating_time: 3_000_000_500}} =
+             copy |> Store.open!() |> Store.at("/pose", 0)
+  end
+
   test "what is no bag is an error that says why", %{tmp_dir: dir} do
     path = Path.join(dir, "x.db3")
     File.write!(path, "no database at all, but long enough to be looked at")
