@@ -40,8 +40,23 @@ defmodule Situ.Cluster.DeploymentLoader do
          do: Enum.find_value(deployments, :ok, &load_failure(log, agent, &1))
   end
 
-  defp load_failure(log, agent, deployment),
-    do: with(:ok <- load(log, agent, deployment), do: nil)
+  # Only a log that is away holds up the rest. A deployment with a refused entry does not keep the others from running.
+  defp load_failure(log, agent, %{name: name} = deployment) do
+    case load(log, agent, deployment) do
+      :ok ->
+        nil
+
+      {:error, %{code: :log_away}} = away ->
+        away
+
+      {:error, error} ->
+        Logger.error(
+          "the deployment #{inspect(name)} does not run again: #{Exception.message(error)}"
+        )
+
+        nil
+    end
+  end
 
   defp load(log, agent, %{name: name} = deployment) do
     case Deployments.find_log(log, name, deployment.run) do
