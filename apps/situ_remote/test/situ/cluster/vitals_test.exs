@@ -3,6 +3,26 @@ defmodule Situ.Cluster.VitalsTest do
   alias Situ.Cluster.Vitals
   import Situ.Remote.Test.Recordings, only: [eventually: 1]
 
+  doctest Vitals
+
+  test "the CPU time of a node includes what the kernel spends for it" do
+    # Zeros are made by the kernel, so this is system time nearly alone.
+    {:ok, zeros} = File.open("/dev/zero", [:read, :raw, :binary])
+    {user, _} = :erlang.statistics(:runtime)
+    before = Vitals.cpu_ms(File.read("/proc/self/stat"))
+    read_until_counted(zeros, before)
+    {user_after, _} = :erlang.statistics(:runtime)
+    assert user_after - user < 300
+  end
+
+  # Ends only when system time counts.
+  defp read_until_counted(zeros, before) do
+    {:ok, _bytes} = :file.read(zeros, 16_000_000)
+
+    if Vitals.cpu_ms(File.read("/proc/self/stat")) - before < 300,
+      do: read_until_counted(zeros, before)
+  end
+
   test "a node knows how busy it is and what it has" do
     assert Vitals.all() == %{}
     start_supervised!({Task, fn -> :ok end})
