@@ -163,15 +163,8 @@ defmodule Situ.Remote.Link.Socket do
 
   # The certificate must name the host that was asked for, not what it resolved to.
   defp connect_at(:tls, {ip, port}, host, options, tls, timeout) do
-    name = named(String.to_charlist(host))
+    name = Address.tls_name_options(host)
     wrap(:ssl, :ssl.connect(ip, port, options ++ Keyword.merge(name, tls), timeout))
-  end
-
-  # A number is looked for among the addresses of a certificate, which Erlang does only where no name was given.
-  defp named(host) do
-    if match?({:ok, _}, :inet.parse_address(host)),
-      do: [],
-      else: [server_name_indication: host]
   end
 
   # Unless somebody says otherwise a server is known by an authority of the system, or by its fingerprint alone.

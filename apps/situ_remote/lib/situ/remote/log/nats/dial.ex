@@ -2,6 +2,7 @@ defmodule Situ.Remote.Log.Nats.Dial do
   @moduledoc false
   # Connects to one NATS server: greeting, TLS, login and subscriptions.
   alias Situ.{Error, JSON}
+  alias Situ.Remote.Address
   alias Situ.Remote.Log.Nats.Wire
 
   @headers 65_536
@@ -127,7 +128,7 @@ defmodule Situ.Remote.Log.Nats.Dial do
         {:ok, _} = Application.ensure_all_started(:ssl)
         {host, _port} = state.server
 
-        tls = Keyword.merge([verify: :verify_peer] ++ named(to_charlist(host)), tls)
+        tls = Keyword.merge([verify: :verify_peer] ++ Address.tls_name_options(host), tls)
 
         upgraded(:ssl.connect(socket, tls, @first_ms), state)
 
@@ -141,13 +142,6 @@ defmodule Situ.Remote.Log.Nats.Dial do
       true ->
         {:ok, :gen_tcp, socket}
     end
-  end
-
-  # A number is looked for among the addresses of a certificate, which Erlang does only where no name was given.
-  defp named(host) do
-    if match?({:ok, _}, :inet.parse_address(host)),
-      do: [],
-      else: [server_name_indication: host]
   end
 
   defp upgraded({:ok, socket}, _state), do: {:ok, :ssl, socket}
