@@ -217,7 +217,10 @@ defmodule Situ.Bridge.Mcap do
       data:
         if(envelopes?,
           do: nil,
-          else: bytes |> data(channel.codec) |> sent(channel, publish, log_time)
+          else:
+            bytes
+            |> data(channel.codec)
+            |> Codec.put_times(channel.codec, time, {log_time, publish})
         ),
       originating_time: time,
       creation_time: max(log_time, time),
@@ -225,13 +228,6 @@ defmodule Situ.Bridge.Mcap do
       source_id: channel.id
     }
   end
-
-  # A message of Situ has two times, one of MCAP up to three.
-  defp sent(%{} = extra, %{codec: %{extra?: true}}, publish, log_time)
-       when publish != log_time and not is_struct(extra),
-       do: Map.put(extra, "publish_time", publish)
-
-  defp sent(data, _channel, _publish, _log_time), do: data
 
   defp data(bytes, codec) do
     case Codec.decode(codec, bytes) do

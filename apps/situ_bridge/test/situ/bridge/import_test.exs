@@ -8,14 +8,14 @@ defmodule Situ.Bridge.ImportTest do
   @bag Path.expand("../../data/ros1_imu_gps_cam.bag", __DIR__)
   @mcap Path.expand("../../data/ros1_imu_gps_cam.mcap", __DIR__)
 
-  # The messages in the file, decoded by nobody.
+  # The messages in the file, decoded by nobody: when each was recorded and sent, and its bytes.
   defp raw(path) do
     %{state: %{ref: ref}} = store = Store.open!(path)
 
     for channel <- Mcap.channels(store), into: %{} do
       what = {{channel.id, :log}, 0, :unbounded, {10_000, 1_000_000_000}, {false, false}}
       {:ok, {messages, _}} = Native.mcap_read(ref, what)
-      {channel.topic, {channel.schema, for({_, _, _, _, bytes} <- messages, do: bytes)}}
+      {channel.topic, {channel.schema, for({_, log, sent, _, x} <- messages, do: {log, sent, x})}}
     end
   end
 
@@ -70,7 +70,13 @@ defmodule Situ.Bridge.ImportTest do
     {:ok, bytes} = Ros.Wire.encode(parsed, message, :cdr)
     schema = {"geometry_msgs/msg/PoseStamped", "ros2msg", whole(definition)}
     {:ok, id} = Native.mcap_channel(writer, "/pose", "cdr", schema, [{"qos", "best"}])
-    {:ok, 1} = Native.mcap_write(writer, [{id, 9, 1_000, 950, bytes}])
+
+    # The clock of the second message's sender is ahead of the recorder's.
+    {:ok, ahead} = Ros.Wire.encode(parsed, put_in(message["header"]["stamp"], 5_000), :cdr)
+
+    {:ok, 2} =
+      Native.mcap_write(writer, [{id, 9, 1_000, 950, bytes}, {id, 10, 2_000, 2_000, ahead}])
+
     {:ok, _} = Native.mcap_finish(writer)
 
     {:ok, path} = Store.copy(file, Path.join(dir, "pose"))
@@ -86,8 +92,9 @@ defmodule Situ.Bridge.ImportTest do
              Store.metadata(store, "/pose")
 
     out = Path.join(dir, "out.mcap")
-    assert {:ok, 1} = Mcap.export(store, out)
-    assert raw(out) == %{"/pose" => {"geometry_msgs/msg/PoseStamped", [bytes]}}
+    assert {:ok, 2} = Mcap.export(store, out)
+    messages = [{1_000, 950, bytes}, {2_000, 2_000, ahead}]
+    assert raw(out) == %{"/pose" => {"geometry_msgs/msg/PoseStamped", messages}}
   end
 
   defp whole(definition) do

@@ -119,6 +119,14 @@ defmodule Situ.Bridge.Mcap.Codec do
   @spec extra(t()) :: t()
   def extra(codec), do: %{codec | maps?: false, extra?: true}
 
+  @doc "Adds the times of a message to the data of a second stream (`Situ.Bridge.Mcap.Extra.put_times/3`)."
+  @spec put_times(term(), t(), Situ.Time.t(), {recorded :: Situ.Time.t(), sent :: Situ.Time.t()}) ::
+          term()
+  def put_times(%{} = extra, %{extra?: true}, time, times) when not is_struct(extra),
+    do: Extra.put_times(extra, time, times)
+
+  def put_times(data, _codec, _time, _times), do: data
+
   @doc "One message's data, or why it is none."
   @spec decode(t(), binary()) :: {:ok, term()} | {:error, String.t()}
   def decode(%{extra?: true} = codec, bytes) do

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Mcap.Extra do
   @moduledoc false
   # Fields of messages that Situ's types have no place for: headers, covariances, further fields of points. An import
   # keeps them in a second stream, and the schema in the metadata of the first one. An export puts both back.
-  alias Situ.{Message, Store}
+  alias Situ.{Message, Store, Time}
   alias Situ.Store.StreamInfo
 
   @ending ".extra"
@@ -72,20 +72,35 @@ defmodule Situ.Bridge.Mcap.Extra do
     end)
   end
 
-  @doc "Returns the streams of extra fields, by the names of the streams that they belong to."
-  @spec streams([StreamInfo.t()]) :: %{String.t() => StreamInfo.t()}
+  @doc """
+  Returns the streams of extra fields, by the names of the streams that they belong to; `:empty` for an imported stream
+  that needs none.
+  """
+  @spec streams([StreamInfo.t()]) :: %{String.t() => StreamInfo.t() | :empty}
   def streams(infos) do
     by_name = Map.new(infos, &{&1.name, &1})
 
-    for %{name: base, count: count} <- infos,
-        %{count: ^count} = extra <- [by_name[name(base)]],
-        into: %{},
-        do: {base, extra}
+    for info <- infos, extra = extra(info, by_name[name(info.name)]), into: %{} do
+      {info.name, extra}
+    end
   end
 
-  @doc "Joins messages from `ordinal` on with their extra fields: the data become `{:with_extra, data, extra}`."
-  @spec join([Message.t()], Store.t(), StreamInfo.t() | nil, non_neg_integer()) :: [Message.t()]
+  defp extra(%{count: count}, %{count: count} = extra), do: extra
+
+  defp extra(info, _none) do
+    if match?({:ok, %{"schema" => _}}, StreamInfo.metadata(info)), do: :empty
+  end
+
+  @doc """
+  Joins messages from `ordinal` on with their extra fields: the data become `{:with_extra, data, extra}`. Those of a
+  stream that was not imported stay as they are.
+  """
+  @spec join([Message.t()], Store.t(), StreamInfo.t() | :empty | nil, non_neg_integer()) ::
+          [Message.t()]
   def join(messages, _store, nil, _ordinal), do: messages
+
+  def join(messages, _store, :empty, _ordinal),
+    do: for(message <- messages, do: %{message | data: {:with_extra, message.data, %{}}})
 
   def join(messages, store, info, ordinal) do
     extras =
@@ -99,6 +114,32 @@ defmodule Situ.Bridge.Mcap.Extra do
         %{} = extra -> %{message | data: {:with_extra, message.data, extra}}
         _ -> message
       end
+    end
+  end
+
+  @doc """
+  Adds the times of a message that Situ's two have no room for: the time of sending, and that of recording when the
+  originating time is later, since a message of Situ is not created before it originates.
+  """
+  @spec put_times(map(), Time.t(), {recorded :: Time.t(), sent :: Time.t()}) :: map()
+  def put_times(extra, time, {recorded, sent}) do
+    extra = if sent == recorded, do: extra, else: Map.put(extra, "publish_time", sent)
+    if recorded >= time, do: extra, else: Map.put(extra, "record_time", recorded)
+  end
+
+  @doc "Returns when a message was recorded and sent. An import keeps both apart from the stamp of the header."
+  @spec fetch_times(Message.t()) :: {recorded :: Time.t(), sent :: Time.t()}
+  def fetch_times(%{data: {:with_extra, _value, extra}, creation_time: created}) do
+    recorded = fetch_time(extra, "record_time", created)
+    {recorded, fetch_time(extra, "publish_time", recorded)}
+  end
+
+  def fetch_times(%{originating_time: time}), do: {time, time}
+
+  defp fetch_time(extra, key, default) do
+    case extra do
+      %{^key => time} when is_integer(time) -> time
+      _ -> default
     end
   end
 

@@ -3,7 +3,7 @@ defmodule Situ.Bridge.Mcap.Writer do
   @behaviour Situ.Bridge.Recorder
   # A file and its channels, as a value. Messages go to the native writer, which keeps the chunk, many at once: a call
   # there changes the thread, which costs more than a small message.
-  alias Situ.Bridge.Mcap.{Channel, Failure, Options}
+  alias Situ.Bridge.Mcap.{Channel, Extra, Failure, Options}
   alias Situ.Bridge.Native
   alias Situ.Error
 
@@ -95,9 +95,11 @@ defmodule Situ.Bridge.Mcap.Writer do
   def write(writer, topic, message, opts) do
     with {:ok, writer, channel} <- channel(writer, topic, message.data, opts),
          {:ok, bytes} <- Channel.encode(channel, message.data, message.originating_time),
-         {:ok, time} <- time(topic, message.originating_time),
+         {recorded, sent} = Extra.fetch_times(message),
+         {:ok, recorded} <- time(topic, recorded),
+         {:ok, sent} <- time(topic, sent),
          sequence = Map.get(writer.sequences, topic, 0),
-         row = {channel.id, rem(sequence, 0x1_0000_0000), time, time, bytes} do
+         row = {channel.id, rem(sequence, 0x1_0000_0000), recorded, sent, bytes} do
       hand_over(%{
         writer
         | sequences: Map.put(writer.sequences, topic, sequence + 1),

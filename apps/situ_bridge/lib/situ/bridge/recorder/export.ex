@@ -132,7 +132,7 @@ defmodule Situ.Bridge.Recorder.Export do
   defp merged(store, wanted, reading, encoding) do
     streams = Store.streams(store)
     extras = Extra.streams(streams)
-    folded = for {_, extra} <- extras, do: extra.name
+    folded = for {_, %StreamInfo{name: name}} <- extras, do: name
 
     heads =
       for info <- streams,

@@ -266,27 +266,35 @@ defmodule Situ.Bridge.Ros.Bag do
   # Without reading the messages: their times are those of recording.
   defp envelopes(track, places, ordinal) do
     for {{time, _, _}, at} <- Enum.with_index(places, ordinal),
-        do: message(track, time, time, at, nil)
+        do: message(track, {time, time}, at, nil)
   end
 
   defp decoded(state, track, places, ordinal, envelopes?) do
     with {:ok, found} <- messages(state, places) do
       messages =
         for {{{time, _, _}, {recorded, bytes}}, at} <- Enum.with_index(found, ordinal) do
-          data = if not envelopes?, do: bytes |> data(track.codec) |> RealSense.data(track.unit)
+          recorded = if track.stamps? and recorded != nil, do: recorded, else: time
 
-          message(track, time, if(track.stamps?, do: recorded, else: time), at, data)
+          data =
+            if not envelopes? do
+              bytes
+              |> data(track.codec)
+              |> RealSense.data(track.unit)
+              |> Codec.put_times(track.codec, time, {recorded, recorded})
+            end
+
+          message(track, {time, recorded}, at, data)
         end
 
       {:ok, messages, ordinal + length(messages)}
     end
   end
 
-  defp message(track, time, recorded, ordinal, data),
+  defp message(track, {time, recorded}, ordinal, data),
     do: %Message{
       data: data,
       originating_time: time,
-      creation_time: recorded,
+      creation_time: max(recorded, time),
       sequence_id: ordinal + 1,
       source_id: track.id
     }
@@ -337,8 +345,7 @@ defmodule Situ.Bridge.Ros.Bag do
           Error.new(:damaged, "the index of the chunk at byte #{at} points at no message")}},
       else:
         {:cont,
-         {:ok, [rows | found],
-          bytes + (rows |> Enum.map(fn {_, {_, body}} -> byte_size(body) end) |> Enum.sum())}}
+         {:ok, [rows | found], bytes + Enum.sum(for {_, {_, data}} <- rows, do: byte_size(data))}}
   end
 
   defp body(records, offset) when offset < byte_size(records) do

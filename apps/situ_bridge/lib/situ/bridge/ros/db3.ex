@@ -276,16 +276,13 @@ defmodule Situ.Bridge.Ros.Db3 do
   defp fetch(state, track, rows, envelopes?) do
     ids = Enum.map_join(rows, ",", &elem(&1, 1))
     column = if envelopes?, do: "''", else: "hex(data)"
+    sql = "select id, timestamp, #{column} from messages where id in (#{ids})"
 
-    with {:ok, found} <-
-           Sqlite.query(
-             state.path,
-             "select id, timestamp, #{column} from messages where id in (#{ids})"
-           ) do
+    with {:ok, found} <- Sqlite.query(state.path, sql) do
       {:ok,
        for(
          [id, recorded, hex] <- found,
-         [[id, recorded]] <- [numbers([[id, recorded]])],
+         [id, recorded] <- numbers([[id, recorded]]),
          {:ok, bytes} <- [Base.decode16(hex)],
          into: %{},
          do: {id, {recorded, if(not envelopes?, do: data(bytes, track.codec))}}
@@ -296,11 +293,12 @@ defmodule Situ.Bridge.Ros.Db3 do
   defp messages(rows, ordinal, track, found) do
     for {{time, id, _}, n} <- Enum.with_index(rows, ordinal) do
       {recorded, data} = Map.get(found, id, {time, @gone})
+      recorded = if track.stamps?, do: recorded, else: time
 
       %Message{
-        data: data,
+        data: Codec.put_times(data, track.codec, time, {recorded, recorded}),
         originating_time: time,
-        creation_time: if(track.stamps?, do: recorded, else: time),
+        creation_time: max(recorded, time),
         sequence_id: n + 1,
         source_id: track.id
       }

@@ -3,7 +3,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   @behaviour Situ.Bridge.Recorder
   # Writes a bag: chunks of records with the index behind each, at the end connections and chunk infos, and where
   # those are in the record that the file begins with.
-  alias Situ.Bridge.Mcap.Channel
+  alias Situ.Bridge.Mcap.{Channel, Extra}
   alias Situ.Bridge.Native
   alias Situ.Bridge.Ros.Bag.Record
   alias Situ.Bridge.Ros.Definition
@@ -101,7 +101,8 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   def write(writer, topic, message, opts) do
     with {:ok, writer, channel} <- channel(writer, topic, message.data, opts),
          {:ok, bytes} <- Channel.encode(channel, message.data, message.originating_time),
-         {:ok, time} <- time(topic, message.originating_time) do
+         {recorded, _sent} = Extra.fetch_times(message),
+         {:ok, time} <- time(topic, recorded) do
       record =
         Record.write(
           :message,
