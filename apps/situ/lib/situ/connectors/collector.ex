@@ -148,6 +148,7 @@ defmodule Situ.Collector do
 
   def to_stream(other, _opts), do: refuse_build!(other, "to_stream")
 
+  @spec refuse_build!(term(), String.t()) :: no_return()
   defp refuse_build!(other, name) do
     example = "Situ.#{name}(fn p -> Situ.from_enumerable(p, 1..9, every: 1) end)"
     Argument.refuse!(other, :build, example)

@@ -29,9 +29,9 @@ defmodule Situ.Annotation.EditorState do
     end
   end
 
-  defp load_locked(%{lock: lock} = state, schema) do
+  defp load_locked(state, schema) do
     with {:error, _} = error <- load(state, schema) do
-      if lock, do: FileLock.release(lock)
+      _state = unlock(state)
       error
     end
   end

@@ -102,7 +102,7 @@ defmodule Situ.Bridge.Mcap.Codec do
   def stamps(_), do: nil
 
   @doc "The same, with its messages as the option `messages:` wants them."
-  @spec shaped(t(), :situ | :maps) :: t()
+  @spec shaped(t(), :situ | :maps | :apart) :: t()
   def shaped(codec, messages), do: %{codec | maps?: messages == :maps}
 
   @doc "Returns the options that an import opens a file with."
