@@ -98,9 +98,9 @@ defmodule Situ.Cluster.Agent do
   def init(opts) do
     :ok = :net_kernel.monitor_nodes(true)
     :ok = Logs.start()
+    :ok = Member.create_table()
     {:ok, _} = Vitals.start_link(opts[:devices] || [])
     for {module, arg} <- opts[:beside] || [], do: {:ok, _} = module.start_link(arg)
-    :ok = Member.create_table()
     {:ok, supervisor} = DynamicSupervisor.start_link(strategy: :one_for_one, max_restarts: 100)
     state = %__MODULE__{log: opts[:log], labels: opts[:labels], supervisor: supervisor}
     for node <- Node.list(), do: hello(state, node, true)
@@ -160,6 +160,11 @@ defmodule Situ.Cluster.Agent do
   defp put_members(state, members) do
     Member.put_all(members)
     %{state | members: members}
+  end
+
+  defp put_deployments(state, deployments) do
+    Member.put_deployments(Map.values(deployments))
+    %{state | deployments: deployments}
   end
 
   defp free(state, deployment) do
@@ -290,9 +295,9 @@ defmodule Situ.Cluster.Agent do
           {{deployment.name, part}, pid}
         end
 
-      deployments = Map.put(state.deployments, deployment.name, deployment)
+      state = put_deployments(state, Map.put(state.deployments, deployment.name, deployment))
       plans = Map.put(state.plans, deployment.name, plan)
-      {:ok, %{state | runners: runners, deployments: deployments, plans: plans}}
+      {:ok, %{state | runners: runners, plans: plans}}
     end
   end
 
@@ -309,8 +314,8 @@ defmodule Situ.Cluster.Agent do
 
     runners = Map.new(kept)
     routes = Map.reject(state.routes, fn {{of, _}, _} -> of == name end)
-    deployments = Map.delete(state.deployments, name)
+    state = put_deployments(state, Map.delete(state.deployments, name))
     plans = Map.delete(state.plans, name)
-    %{state | runners: runners, routes: routes, deployments: deployments, plans: plans}
+    %{state | runners: runners, routes: routes, plans: plans}
   end
 end

@@ -1,9 +1,10 @@
 defmodule Situ.Cluster.Balancer do
   @moduledoc false
   # Looks now and then whether a part of a deployment with `balance:` should move. The first of the members does it for
-  # all; two that both think they are the first move a part twice, which is no harm.
+  # all; two that both think they are the first move a part twice, which is no harm. It reads the agent's table: an agent
+  # that is busy must not end it, since both end together.
   use GenServer
-  alias Situ.Cluster.Agent
+  alias Situ.Cluster.Member
   require Logger
 
   @look_ms 500
@@ -20,10 +21,8 @@ defmodule Situ.Cluster.Balancer do
   @impl true
   def handle_info(:look, state) do
     Process.send_after(self(), :look, @look_ms)
-    info = Agent.info()
-    # A node that is shutting down knows of nobody.
-    first? = info.members |> Map.keys() |> Enum.min(fn -> nil end) == node()
-    wanted = for %{balance: every} = d when every != nil <- info.deployments, do: d
+    first? = Member.first?()
+    wanted = for %{balance: every} = d when every != nil <- Member.deployments(), do: d
     due = Map.new(wanted, &{&1.name, Map.get(state.due, &1.name, now() + &1.balance)})
 
     due =

@@ -1,12 +1,12 @@
 defmodule Situ.Cluster.Member do
   @moduledoc false
-  # The requests of a part's runner and of its pipeline's inlets to the cluster's agent on their node. None of them
-  # waits for the agent, so the agent may wait for them.
+  # The requests of a part's runner, of its pipeline's inlets and of the balancer to the cluster's agent on their node.
+  # None of them waits for the agent, so the agent may wait for them.
   #
   #   {:situ_cluster, :follow, part, pid}            an inlet wants to know where a part is published
   #   {:situ_cluster, :publisher, part, publisher}   there, now and whenever that changes
 
-  alias Situ.Cluster.{Agent, Placement, Vitals}
+  alias Situ.Cluster.{Agent, Deployment, Placement, Vitals}
 
   @table __MODULE__
 
@@ -21,10 +21,12 @@ defmodule Situ.Cluster.Member do
   @spec runs(GenServer.server(), part(), pid()) :: :ok
   def runs(agent, part, runner), do: GenServer.cast(agent, {:runs, part, runner})
 
-  @doc "Makes the agent's table of members, which all processes of the node read."
+  @doc "Makes the agent's table of members and deployments, which all processes of the node read."
   @spec create_table() :: :ok
   def create_table do
     :ets.new(@table, [:named_table, :protected, read_concurrency: true])
+    put_all(%{})
+    put_deployments([])
     :ok
   end
 
@@ -32,12 +34,26 @@ defmodule Situ.Cluster.Member do
   @spec put_all(%{node() => [String.t()]}) :: true
   def put_all(members), do: :ets.insert(@table, {:members, members})
 
+  @doc "Replaces the deployments in the table."
+  @spec put_deployments([Deployment.t()]) :: true
+  def put_deployments(deployments), do: :ets.insert(@table, {:deployments, deployments})
+
+  @doc "Returns the deployments that this node knows."
+  @spec deployments() :: [Deployment.t()]
+  def deployments, do: lookup(:deployments)
+
+  @doc "Returns whether this node is the first of the members."
+  @spec first?() :: boolean()
+  def first?, do: :members |> lookup() |> Map.keys() |> Enum.min(fn -> nil end) == node()
+
+  defp lookup(key), do: :ets.lookup_element(@table, key, 2)
+
   @doc "Returns the members with the properties that rules of place look at."
   @spec all() :: Placement.members()
   def all do
     vitals = Vitals.all()
 
-    Map.new(:ets.lookup_element(@table, :members, 2), fn {node, labels} ->
+    Map.new(lookup(:members), fn {node, labels} ->
       {node, vitals |> Map.get(node, %{}) |> Map.put(:labels, labels) |> Placement.member()}
     end)
   end
