@@ -3,7 +3,7 @@ defmodule Situ.ClusterTest do
 
   alias Situ.{Cluster, Pipeline}
   alias Situ.Cluster.Past
-  alias Situ.Test.{ClusterSums, NatsServer}
+  alias Situ.Test.{ClusterFan, ClusterSums, NatsServer}
   import Situ.Remote.Test.Recordings, only: [eventually: 1]
 
   @moduletag :tmp_dir
@@ -238,8 +238,6 @@ defmodule Situ.ClusterTest do
     eventually(fn -> Cluster.Agent.info().deployments == [deployment] end)
     assert :ok = Cluster.await(deployment, 60_000)
     assert read(deployment, "Result") == alone(count: 600)
-    # The same once more changes nothing; another of that name is refused.
-    assert {:error, %{code: :duplicate_name}} = Cluster.deploy(ClusterSums, opts: [count: 3])
     stop_supervised!(Cluster)
     assert deployments_after_start(dir) == []
   end
@@ -249,6 +247,20 @@ defmodule Situ.ClusterTest do
     start_supervised!({Cluster, log: dir})
     :ok = Cluster.DeploymentLoader.run(raw(dir), Cluster.Agent, false)
     Cluster.Agent.info().deployments
+  end
+
+  test "the same deployment once more changes nothing, another of its name is refused", %{
+    tmp_dir: dir
+  } do
+    start_supervised!({Cluster, log: dir})
+    opts = [place: [{"P1", on: "nowhere", only: true}], pipeline: @pipeline]
+    {:ok, deployment} = Cluster.deploy(ClusterFan, [opts: [parts: 1]] ++ opts)
+    runners = Cluster.Agent.runners(deployment.name)
+    assert {:ok, ^deployment} = Cluster.deploy(ClusterFan, [opts: [parts: 1]] ++ opts)
+    assert Cluster.Agent.runners(deployment.name) == runners
+
+    assert {:error, %{code: :duplicate_name}} =
+             Cluster.deploy(ClusterFan, [opts: [parts: 2]] ++ opts)
   end
 
   test "a deployment that was forgotten does not come back", %{tmp_dir: dir} do
@@ -279,7 +291,7 @@ defmodule Situ.ClusterTest do
     agent = Process.whereis(Cluster.Agent)
 
     {:ok, deployment} =
-      Cluster.deploy(Situ.Test.ClusterFan,
+      Cluster.deploy(ClusterFan,
         opts: [parts: 40],
         place: for(i <- 1..40, do: {"P#{i}", on: "nowhere", only: true}),
         pipeline: @pipeline

@@ -167,16 +167,11 @@ defmodule Situ.Cluster.Agent do
     %{state | deployments: deployments}
   end
 
-  defp free(state, deployment) do
-    case state.deployments do
-      %{^deployment => _} ->
-        :ok
-
-      deployments when is_map_key(deployments, deployment.name) ->
-        {:error, Deployments.duplicate_error(deployment.name)}
-
-      _ ->
-        :ok
+  defp free(%{deployments: deployments}, %{name: name} = deployment) do
+    case deployments do
+      %{^name => ^deployment} -> :ok
+      %{^name => _another} -> {:error, Deployments.duplicate_error(name)}
+      %{} -> :ok
     end
   end
 
