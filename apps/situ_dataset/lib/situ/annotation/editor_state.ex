@@ -31,10 +31,13 @@ defmodule Situ.Annotation.EditorState do
 
   defp load_locked(state, schema) do
     with {:error, _} = error <- load(state, schema) do
-      _state = unlock(state)
+      :ok = release(state.lock)
       error
     end
   end
+
+  defp release(nil), do: :ok
+  defp release(lock), do: FileLock.release(lock)
 
   defp load(%{path: path, stream: stream} = state, schema) do
     base = if Store.exists?(path), do: Version.newest(path) || path
@@ -99,7 +102,7 @@ defmodule Situ.Annotation.EditorState do
   @doc "Releases the lock if nothing is unsaved."
   @spec unlock(map()) :: map()
   def unlock(%{unsaved?: false, lock: lock} = state) when lock != nil do
-    :ok = FileLock.release(lock)
+    :ok = release(lock)
     %{state | lock: nil}
   end
 
