@@ -19,7 +19,12 @@ impl Kind {
     /// The kind of a field, without the spaces around it.
     pub fn of(text: &str) -> Kind {
         match shape(text.as_bytes()) {
-            Some(Kind::Float) if !finite(text) => Kind::Text,
+            // Without an exponent and with so few digits it is finite in any case.
+            Some(Kind::Float)
+                if (text.len() > MOST_DIGITS || text.contains(['e', 'E'])) && !finite(text) =>
+            {
+                Kind::Text
+            }
             // More digits are no float, should the column be one.
             Some(Kind::Integer) if text.len() > MOST_DIGITS => Kind::Text,
             Some(kind) => kind,

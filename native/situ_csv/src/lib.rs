@@ -3,6 +3,7 @@
 
 #![deny(missing_docs)]
 
+mod columns;
 mod fields;
 mod lines;
 mod parts;
@@ -11,11 +12,12 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
+pub use columns::{columns, CellValues, Cells, Wanted};
 pub use fields::{Kind, Unit};
 pub use lines::{lines, Values};
 pub use parts::{scan, values, Column, Layout, Part, Refusal, Start, Value, Why};
 
-use csv::{ByteRecord, Position, ReaderBuilder, Terminator};
+use csv::{ByteRecord, Position, ReaderBuilder, StringRecord, Terminator};
 
 /// Why there are no rows.
 #[derive(Debug, Clone, PartialEq)]
@@ -94,7 +96,7 @@ impl Seek for Bounded {
 /// A file that is read row by row. Empty lines are no rows.
 struct Rows {
     reader: csv::Reader<Bounded>,
-    record: ByteRecord,
+    record: StringRecord,
     /// The file's length, and whether its last line has an end.
     length: u64,
     whole: bool,
@@ -120,7 +122,7 @@ impl Rows {
         reader.seek(start).map_err(io::Error::from)?;
         Ok(Rows {
             reader,
-            record: ByteRecord::new(),
+            record: StringRecord::new(),
             length,
             whole,
         })
@@ -133,13 +135,14 @@ impl Rows {
         }
     }
 
-    /// The line of the next row, and its fields.
-    fn next(&mut self) -> Result<Option<(u64, Vec<&str>)>> {
+    /// The line of the next row, and its fields. The last one may end in CR.
+    fn next(&mut self) -> Result<Option<(u64, &StringRecord)>> {
+        let mut record = std::mem::take(&mut self.record).into_byte_record();
         loop {
             self.reader.get_mut().left = MAX_ROW;
             let at = self.reader.position().line();
-            match self.reader.read_byte_record(&mut self.record) {
-                Ok(true) if self.record.len() > 1 || !blank(&self.record) => break,
+            match self.reader.read_byte_record(&mut record) {
+                Ok(true) if record.len() > 1 || !blank(&record) => break,
                 Ok(true) => continue,
                 Ok(false) => return Ok(None),
                 Err(error) => return Err(refused(error, at)),
@@ -147,9 +150,11 @@ impl Rows {
         }
         let end = self.reader.position();
         let open = !self.whole && end.byte() >= self.length;
-        let behind = inside(&self.record) + u64::from(!open);
+        let behind = breaks(&record) + u64::from(!open);
         let line = end.line().saturating_sub(behind);
-        fields(&self.record, line).map(|fields| Some((line, fields)))
+        self.record = StringRecord::from_byte_record(record)
+            .map_err(|_| Error::Damaged(line, "it is not UTF-8 text"))?;
+        Ok(Some((line, &self.record)))
     }
 }
 
@@ -168,7 +173,13 @@ pub fn rows(
         let Some((line, fields)) = reader.next()? else {
             break;
         };
-        let fields = fields.into_iter().map(str::to_owned).collect();
+        let mut fields: Vec<String> = fields.iter().map(str::to_owned).collect();
+        // A line may end in CR LF.
+        if let Some(last) = fields.last_mut() {
+            if last.ends_with('\r') {
+                last.pop();
+            }
+        }
         rows.push(Row { line, fields });
     }
     Ok((rows, reader.place()))
@@ -187,25 +198,14 @@ fn ending(mut file: &File) -> io::Result<(u64, bool)> {
 }
 
 /// Line breaks within quotes.
-fn inside(record: &ByteRecord) -> u64 {
-    let breaks = |field: &[u8]| field.iter().filter(|byte| **byte == b'\n').count() as u64;
-    record.iter().map(breaks).sum()
+fn breaks(record: &ByteRecord) -> u64 {
+    let breaks = record.as_slice().iter().filter(|byte| **byte == b'\n');
+    breaks.count() as u64
 }
 
 fn blank(record: &ByteRecord) -> bool {
     let spaces = |field: &[u8]| std::str::from_utf8(field).is_ok_and(|text| text.trim().is_empty());
     record.iter().all(spaces)
-}
-
-fn fields(record: &ByteRecord, line: u64) -> Result<Vec<&str>> {
-    let fields: std::result::Result<Vec<&str>, _> =
-        record.iter().map(std::str::from_utf8).collect();
-    let mut fields = fields.map_err(|_| Error::Damaged(line, "it is not UTF-8 text"))?;
-    // A line may end in CR LF.
-    if let Some(last) = fields.last_mut() {
-        *last = last.strip_suffix('\r').unwrap_or(last);
-    }
-    Ok(fields)
 }
 
 fn refused(error: csv::Error, line: u64) -> Error {

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use csv::StringRecord;
+
 use crate::fields::{Kind, Time, Unit};
 use crate::{Error, Place, Rows};
 
@@ -95,11 +97,11 @@ impl From<Error> for Refusal {
 }
 
 /// Goes through the rows of the next part. Calls `kept` with the time and the fields of a row, or `left_out`.
-fn each_row(
+pub(crate) fn each_row(
     rows: &mut Rows,
     layout: &Layout,
     last: &mut Option<i64>,
-    mut kept: impl FnMut(i64, &[&str]),
+    mut kept: impl FnMut(i64, &StringRecord),
     mut left_out: impl FnMut(u64, Why),
 ) -> Result<usize, Refusal> {
     let (column, unit) = layout.time;
@@ -120,7 +122,8 @@ fn each_row(
         let time = match unit.time(text) {
             Time::At(time) => time.checked_add(layout.start).ok_or(Refusal::Unsure)?,
             Time::None => {
-                left_out(line, Why::Time((*text).to_owned()));
+                let text = text.strip_suffix('\r').unwrap_or(text);
+                left_out(line, Why::Time(text.to_owned()));
                 continue;
             }
             Time::Unsure => return Err(Refusal::Unsure),
@@ -130,7 +133,7 @@ fn each_row(
             continue;
         }
         *last = Some(time);
-        kept(time, &fields);
+        kept(time, fields);
     }
     Ok(n)
 }
@@ -216,7 +219,7 @@ pub fn values(
     Ok(())
 }
 
-fn value(field: &str, kind: Kind) -> Value<'_> {
+pub(crate) fn value(field: &str, kind: Kind) -> Value<'_> {
     match kind {
         Kind::Integer => field.parse().map(Value::Integer).ok(),
         Kind::Float => field

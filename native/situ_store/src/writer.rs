@@ -2,6 +2,7 @@
 
 mod chunks;
 mod closing;
+mod columns;
 mod lock;
 mod pyramids;
 mod stream;
@@ -18,6 +19,7 @@ use crate::format::*;
 use crate::index::{self, IndexWriter};
 use crate::pyramid::{Bin, FLUSH};
 
+pub use columns::{Column, ColumnValues};
 pub use lock::lock;
 use stream::Stream;
 

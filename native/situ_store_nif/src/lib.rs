@@ -46,6 +46,7 @@ mod atoms {
         not_increasing,
         too_large,
         not_storable,
+        not_written,
         unknown_stream,
         deleted,
         closed,

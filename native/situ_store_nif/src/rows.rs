@@ -4,10 +4,14 @@ use std::path::Path;
 
 use rustler::{Atom, Encoder, Env, NifResult, Term};
 use situ_csv::{
-    rows, scan, values, Error, Kind, Layout, Part, Place, Refusal, Start, Unit, Value, Why,
+    columns, rows, scan, values, CellValues, Cells, Error, Kind, Layout, Part, Place, Refusal,
+    Start, Unit, Value, Wanted, Why,
 };
+use situ_store::writer::{Column, ColumnValues};
+use situ_store::Writer;
 
-use crate::atoms;
+use crate::writing::{with, Handle};
+use crate::{atoms, errors};
 
 /// Up to `most` rows or `bytes` bytes from `byte` (in line `line`) on: `{:ok, [{line, [field]}], {byte, line}}`.
 #[rustler::nif(schedule = "DirtyIo")]
@@ -143,6 +147,16 @@ fn name(kind: Kind) -> Atom {
     }
 }
 
+fn kind_named(name: Atom) -> Kind {
+    if name == atoms::integer() {
+        Kind::Integer
+    } else if name == atoms::float() {
+        Kind::Float
+    } else {
+        Kind::Text
+    }
+}
+
 /// The values of one column in a part, with their times: `{:ok, [{time, value}]}`, or `:slow`. Texts, and whole numbers
 /// of more than 64 bits, are binaries.
 #[rustler::nif(schedule = "DirtyIo")]
@@ -154,11 +168,7 @@ fn csv_values<'a>(
     column: (usize, Atom),
 ) -> NifResult<Term<'a>> {
     let (at, kind) = column;
-    let kind = match kind {
-        kind if kind == atoms::integer() => Kind::Integer,
-        kind if kind == atoms::float() => Kind::Float,
-        _ => Kind::Text,
-    };
+    let kind = kind_named(kind);
     let mut found = Vec::new();
     let result = values(
         Path::new(&path),
@@ -178,4 +188,73 @@ fn csv_values<'a>(
         Ok(()) => (atoms::ok(), found).encode(env),
         Err(refusal) => refused(env, refusal),
     })
+}
+
+/// A column, the kind of its fields, the stream that its values go to, and the sequence id of its first field.
+type Target = (usize, Atom, u32, u64);
+
+/// Appends columns of up to `parts` parts to streams of a writer, and commits them: `{:ok, parts, [{fields,
+/// appended}]}` with the fields of each column in these parts and how many of them are in the interval. `:slow` where
+/// this code cannot read the first part; `{:error, reason}` of the file, `{:not_written, {:error, reason}, column}` of
+/// the store.
+#[rustler::nif(schedule = "DirtyIo")]
+fn csv_append<'a>(
+    env: Env<'a>,
+    path: String,
+    given: GivenLayout,
+    from: GivenStart,
+    targets: (Vec<Target>, (i64, i64), usize),
+    writer: Handle,
+) -> Term<'a> {
+    let (targets, interval, parts) = targets;
+    let wanted: Vec<_> = targets
+        .iter()
+        .map(|(at, kind, ..)| (*at, kind_named(*kind)))
+        .collect();
+    let wanted = Wanted {
+        columns: &wanted,
+        interval,
+        parts,
+    };
+    let (parts, found) = match columns(Path::new(&path), &layout(given), start(from), &wanted) {
+        Ok(found) => found,
+        Err(refusal) => return refused(env, refusal),
+    };
+    let mut current = 0;
+    let written = with(&writer, |writer| {
+        for ((column, _, stream, sequence), cells) in targets.iter().zip(&found) {
+            current = *column;
+            push_cells(writer, *stream, *sequence, cells)?;
+        }
+        writer.commit()
+    });
+    match written {
+        Ok(_) => {
+            let counts: Vec<_> = found
+                .iter()
+                .map(|cells| (cells.fields, cells.times.len()))
+                .collect();
+            (atoms::ok(), parts, counts).encode(env)
+        }
+        Err(error) => (atoms::not_written(), errors::term(env, &error), current).encode(env),
+    }
+}
+
+fn push_cells(
+    writer: &mut Writer,
+    stream: u32,
+    sequence: u64,
+    cells: &Cells,
+) -> situ_store::Result<()> {
+    let values = match &cells.values {
+        CellValues::Integers(values) => ColumnValues::Ints(values),
+        CellValues::Floats(values) => ColumnValues::Floats(values),
+        CellValues::Texts(bytes, ends) => ColumnValues::Texts(bytes, ends),
+    };
+    let column = Column {
+        sequence: sequence + cells.before,
+        times: &cells.times,
+        values,
+    };
+    writer.push_column(stream, column)
 }

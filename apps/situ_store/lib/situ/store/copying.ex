@@ -7,7 +7,8 @@ defmodule Situ.Store.Copying do
   which the next one deletes.
   """
   alias Situ.Error
-  alias Situ.Store.{Draft, Failure, Folder, Formats, Reading, StreamInfo, Transfer}
+  alias Situ.Store.Copying.Passes
+  alias Situ.Store.{Draft, Failure, Folder, Formats, Reading, StreamInfo}
 
   @options [
     from: [type: {:optional, :integer}, doc: "The first originating time."],
@@ -295,14 +296,7 @@ defmodule Situ.Store.Copying do
 
     to
     |> target()
-    |> Draft.make(sized(opts, infos), fn writer ->
-      Enum.reduce_while(parts, :ok, fn {info, sources}, :ok ->
-        case write(writer, info, sources, opts, report) do
-          :ok -> {:cont, :ok}
-          error -> {:halt, error}
-        end
-      end)
-    end)
+    |> Draft.make(sized(opts, infos), &Passes.write(&1, parts, opts, report))
   end
 
   @doc false
@@ -338,28 +332,4 @@ defmodule Situ.Store.Copying do
     opts = Keyword.put_new(opts, :first_extent, stored |> max(@smallest) |> min(@largest))
     if mode, do: Keyword.put_new(opts, :mode, mode), else: opts
   end
-
-  defp write(writer, info, sources, opts, report) do
-    with {:ok, transfer} <- Transfer.open(writer, info, sources, opts, report),
-         {:ok, transfer} <- messages(transfer, sources, opts) do
-      Transfer.close(transfer, info.closed && min_time(info.closed, opts[:to]))
-    end
-  end
-
-  defp messages(transfer, sources, opts) do
-    Enum.reduce_while(sources, {:ok, transfer}, fn {store, info} = source, {:ok, transfer} ->
-      with {:ok, first} <- first(store, info, opts[:from]),
-           {:ok, transfer, _} <- Transfer.take(transfer, source, first, opts[:to] || :unbounded) do
-        {:cont, {:ok, transfer}}
-      else
-        error -> {:halt, error}
-      end
-    end)
-  end
-
-  defp first(_store, _info, nil), do: {:ok, 0}
-  defp first(store, info, from), do: Reading.seek(store, info, from)
-
-  defp min_time(time, nil), do: time
-  defp min_time(time, to), do: min(time, to)
 end

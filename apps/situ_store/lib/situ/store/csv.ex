@@ -21,7 +21,7 @@ defmodule Situ.Store.Csv do
   """
   @behaviour Situ.Store.Reader
   alias Situ.{Error, Message}
-  alias Situ.Store.Csv.Scan
+  alias Situ.Store.Csv.{Appending, Scan}
   alias Situ.Store.StreamInfo
 
   defstruct [:path, :size, :scan, :streams, :parts]
@@ -80,8 +80,7 @@ defmodule Situ.Store.Csv do
 
   @impl true
   def seek(state, info, time) do
-    # The last part that begins before `time`: what is wanted lies in it or is the first behind it.
-    at = search(state.parts, &(&1.last == nil or &1.last < time))
+    at = first_part(state, time)
 
     with {:ok, messages} <- part(state, info, at) do
       before = Enum.count(messages, &(&1.originating_time < time))
@@ -94,6 +93,24 @@ defmodule Situ.Store.Csv do
     if ordinal >= info.count,
       do: {:ok, [], ordinal},
       else: read_part(state, info, ordinal, to, if(opts[:exact], do: limit, else: :all))
+  end
+
+  @impl true
+  def append_streams(state, targets, {from, _to} = interval, told) do
+    # A column without fields has no kind, and no messages.
+    filled = for {%{count: count}, _stream} = target <- targets, count > 0, do: target
+
+    job = %Appending{
+      scan: state.scan,
+      parts: state.parts,
+      targets: filled,
+      interval: interval,
+      messages: &part(state, &1, &2),
+      told: told
+    }
+
+    with {:error, why} when is_binary(why) <- Appending.append(job, first_part(state, from)),
+         do: {:error, changed(state, why)}
   end
 
   # The rest of the part that holds the message: a part is what is read at once anyway.
@@ -118,7 +135,11 @@ defmodule Situ.Store.Csv do
     end
   end
 
-  defp changed(state), do: Error.new(:damaged, "#{state.path} has changed since it was opened")
+  # The last part that begins before `time`: what is wanted lies in it or is the first behind it.
+  defp first_part(state, time), do: search(state.parts, &(&1.last == nil or &1.last < time))
+
+  defp changed(state, why \\ nil),
+    do: Error.new(:damaged, "#{state.path} has changed since it was opened", why: why)
 
   # The last part of which `before?` holds; it does of the first ones, and of none behind them.
   defp search(parts, before?), do: search(parts, before?, 0, tuple_size(parts))
@@ -145,7 +166,7 @@ defmodule Situ.Store.Csv do
         {:ok, messages(values, info.id, (part.counts[info.id - 1] || 0) + 1)}
 
       {:error, why} ->
-        {:error, Error.new(:damaged, "#{state.path} has changed since it was opened", why: why)}
+        {:error, changed(state, why)}
     end
   end
 

@@ -56,6 +56,7 @@ defmodule Situ.Store.Native do
   def rename_exchange(_one, _other), do: missing()
   def csv_scan(_path, _layout, _start, _parts), do: missing()
   def csv_values(_path, _layout, _start, _column), do: missing()
+  def csv_append(_path, _layout, _start, _targets, _writer), do: missing()
   def reader_await(_reader, _known, _pid, _tag), do: missing()
 
   defp missing, do: :erlang.nif_error(:nif_not_loaded)

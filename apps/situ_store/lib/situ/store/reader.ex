@@ -64,6 +64,16 @@ defmodule Situ.Store.Reader do
   """
   @callback columns(state(), StreamInfo.t(), ordinal :: non_neg_integer(), to :: Situ.Time.t()) ::
               {:ok, Situ.Store.Columns.t(), non_neg_integer()} | :others | :ended | error()
+  @doc """
+  Appends the messages of several streams in an interval to streams of a store, in one pass over the file. Calls the
+  function with the number of messages after every part.
+  """
+  @callback append_streams(
+              state(),
+              [{StreamInfo.t(), Situ.Store.Writer.Stream.t()}],
+              {from :: Situ.Time.t(), to :: Situ.Time.t()},
+              (pos_integer() -> any())
+            ) :: :ok | error()
   @doc "Min/max/last/count bins: `{:ok, width_ns, [{start, min, max, last, count}]}`."
   @callback summary(state(), StreamInfo.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
               {:ok, pos_integer(), [tuple()]} | error()
@@ -94,6 +104,7 @@ defmodule Situ.Store.Reader do
                       resolve: 1,
                       within: 1,
                       columns: 4,
+                      append_streams: 4,
                       summary: 5,
                       tracks: 6,
                       await: 4,

@@ -1,8 +1,8 @@
 defmodule Situ.Store.Transfer do
   @moduledoc false
   # A stream of other stores in a new one, as it was. Type, metadata, codecs and payloads are taken over as bytes:
-  # terms whose modules or atoms this system lacks are copied too. Only foreign files, and signals whose pyramid
-  # their codec makes, take the way through messages.
+  # terms whose modules or atoms this system lacks are copied too. Signals whose pyramid their codec makes take the way
+  # through messages, and so do foreign files, unless their reader appends them itself.
   alias Situ.Error
   alias Situ.Store.{Codecs, Failure, Handle, Local, Native, Reading, StreamInfo, TypeName, Writer}
 
@@ -137,6 +137,18 @@ defmodule Situ.Store.Transfer do
       {:error, reason} ->
         failed(reason, transfer, source, ordinal, to)
     end
+  end
+
+  @doc "Whether `take_together/2` takes the streams of this store."
+  @spec one_pass?(Handle.t()) :: boolean()
+  def one_pass?(store), do: function_exported?(store.module, :append_streams, 4)
+
+  @doc "Takes the messages in an interval of several streams of one store."
+  @spec take_together([{t(), source()}], {Situ.Time.t(), Situ.Time.t()}) ::
+          :ok | {:error, Error.t()}
+  def take_together([{%{told: told}, {store, _}} | _] = taken, interval) do
+    targets = for {transfer, {_, info}} <- taken, do: {info, transfer.stream}
+    store.module.append_streams(store.state, targets, interval, told)
   end
 
   defp behind(transfer, _store, info, :unbounded), do: {:ok, transfer, info.count}

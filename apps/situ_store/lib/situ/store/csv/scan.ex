@@ -2,7 +2,7 @@ defmodule Situ.Store.Csv.Scan do
   @moduledoc false
   # One pass over a CSV file: what its columns are, and where every thousandth row begins.
   alias Situ.Store.Csv.Field
-  alias Situ.Store.Native
+  alias Situ.Store.{Failure, Native, Writer}
 
   @rows 1_000
   @bytes 4 * 1024 * 1024
@@ -223,6 +223,46 @@ defmodule Situ.Store.Csv.Scan do
       {:ok, values} -> {:ok, values |> as(kind)}
       slow when slow in [:slow, false] -> values_of_rows(scan, part, index, kind)
       error -> told(error)
+    end
+  end
+
+  @doc """
+  Appends the columns of up to `parts` parts, from `part` on, to streams of a writer. `targets` are `{column, stream,
+  sequence}` with the sequence id of the column's first field in `part`. Returns how many parts there were, and for each
+  column how many fields they have and how many of them are in the interval. `:slow` where native code cannot read
+  `part`.
+  """
+  @spec append(t(), map(), [{non_neg_integer(), Writer.Stream.t(), pos_integer()}], {
+          integer(),
+          integer()
+        }) ::
+          {:ok, pos_integer(), [{non_neg_integer(), non_neg_integer()}]}
+          | :slow
+          | {:error, String.t() | Situ.Error.t()}
+  def append(scan, part, [{_, %{writer: writer}, _} | _] = targets, interval) do
+    given = for {index, stream, n} <- targets, do: {index, scan.columns[index].kind, stream.id, n}
+    start = {part.place, part.last}
+
+    case native?(scan, part.last) &&
+           Native.csv_append(
+             scan.path,
+             layout(scan),
+             start,
+             {given, interval, @parts},
+             writer.ref
+           ) do
+      {:ok, parts, counts} ->
+        {:ok, parts, counts}
+
+      slow when slow in [:slow, false] ->
+        :slow
+
+      {:not_written, {:error, reason}, index} ->
+        {_, stream, _} = List.keyfind!(targets, index, 0)
+        {:error, Failure.error(reason, writer.path, stream.name)}
+
+      error ->
+        told(error)
     end
   end
 

@@ -1,0 +1,100 @@
+defmodule Situ.Store.Copying.Passes do
+  @moduledoc false
+  # The streams of a copy, as few passes over the originals as their readers need.
+  alias Situ.Error
+  alias Situ.Store.{Reading, StreamInfo, Transfer, Writer}
+
+  @earliest -0x8000000000000000
+  @latest 0x7FFFFFFFFFFFFFFF
+
+  @doc "Writes streams, each with the sources of its messages. `report.(n)` is called for every `n` messages."
+  @spec write(
+          Writer.t(),
+          [{StreamInfo.t(), [Transfer.source()]}],
+          keyword(),
+          (pos_integer() -> any())
+        ) :: :ok | {:error, Error.t()}
+  def write(writer, parts, opts, report) do
+    parts
+    |> Enum.chunk_by(&pass/1)
+    |> each_ok(&write_pass(writer, &1, opts, report))
+  end
+
+  # Streams that are read in one pass over the same files are written together, each other one by itself.
+  defp pass({info, sources}) do
+    if one_pass?(sources),
+      do: {:files, for({store, _} <- sources, do: store.path)},
+      else: {:stream, info.name}
+  end
+
+  defp one_pass?(sources), do: Enum.all?(sources, fn {store, _} -> Transfer.one_pass?(store) end)
+
+  defp write_pass(writer, parts, opts, report) do
+    with {:ok, transfers} <- open_transfers(writer, parts, opts, report),
+         {:ok, transfers} <- take(transfers, Enum.map(parts, &elem(&1, 1)), opts) do
+      transfers
+      |> Enum.zip(parts)
+      |> each_ok(fn {transfer, {info, _}} ->
+        Transfer.close(transfer, info.closed && min_time(info.closed, opts[:to]))
+      end)
+    end
+  end
+
+  defp open_transfers(writer, parts, opts, report) do
+    opened =
+      Enum.reduce_while(parts, {:ok, []}, fn {info, sources}, {:ok, transfers} ->
+        case Transfer.open(writer, info, sources, opts, report) do
+          {:ok, transfer} -> {:cont, {:ok, [transfer | transfers]}}
+          error -> {:halt, error}
+        end
+      end)
+
+    with {:ok, transfers} <- opened, do: {:ok, Enum.reverse(transfers)}
+  end
+
+  defp take(transfers, [first | _] = sources, opts) do
+    if one_pass?(first),
+      do: take_passes(transfers, Enum.zip_with(sources, & &1), opts),
+      else: take_messages(transfers, sources, opts)
+  end
+
+  # A pass for each file, with the streams in it.
+  defp take_passes(transfers, files, opts) do
+    interval = {clamp(opts[:from] || @earliest), clamp(opts[:to] || @latest)}
+
+    with :ok <- each_ok(files, &Transfer.take_together(Enum.zip(transfers, &1), interval)),
+         do: {:ok, transfers}
+  end
+
+  defp take_messages([transfer], [sources], opts) do
+    taken =
+      Enum.reduce_while(sources, {:ok, transfer}, fn {store, info} = source, {:ok, transfer} ->
+        with {:ok, first} <- first(store, info, opts[:from]),
+             {:ok, transfer, _} <-
+               Transfer.take(transfer, source, first, opts[:to] || :unbounded) do
+          {:cont, {:ok, transfer}}
+        else
+          error -> {:halt, error}
+        end
+      end)
+
+    with {:ok, transfer} <- taken, do: {:ok, [transfer]}
+  end
+
+  defp each_ok(list, fun) do
+    Enum.reduce_while(list, :ok, fn element, :ok ->
+      case fun.(element) do
+        {:error, error} -> {:halt, {:error, error}}
+        _ok -> {:cont, :ok}
+      end
+    end)
+  end
+
+  defp first(_store, _info, nil), do: {:ok, 0}
+  defp first(store, info, from), do: Reading.seek(store, info, from)
+
+  defp clamp(time), do: time |> max(@earliest) |> min(@latest)
+
+  defp min_time(time, nil), do: time
+  defp min_time(time, to), do: min(time, to)
+end

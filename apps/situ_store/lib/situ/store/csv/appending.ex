@@ -1,0 +1,90 @@
+defmodule Situ.Store.Csv.Appending do
+  @moduledoc false
+  # Columns of a CSV file as streams of a store. Native code takes many rows of all columns at once; a part that it
+  # cannot read (a date written in an unusual way, a whole number of more than 64 bits) goes as messages.
+  alias Situ.Store.Csv.Scan
+  alias Situ.Store.{StreamInfo, Writer}
+
+  @enforce_keys [:scan, :parts, :targets, :interval, :messages, :told]
+  defstruct @enforce_keys
+
+  @type target :: {StreamInfo.t(), Writer.Stream.t()}
+  @type t :: %__MODULE__{
+          scan: Scan.t(),
+          parts: tuple(),
+          targets: [target()],
+          interval: {Situ.Time.t(), Situ.Time.t()},
+          messages: (StreamInfo.t(), non_neg_integer() -> {:ok, [Situ.Message.t()]} | error()),
+          told: (pos_integer() -> any())
+        }
+  @typep error :: {:error, String.t() | Situ.Error.t()}
+
+  @doc """
+  Appends the parts from number `at` on. `messages` returns those of a stream in a part. A text as the error is what is
+  wrong with the file.
+  """
+  @spec append(t(), non_neg_integer()) :: :ok | error()
+  def append(%{targets: []}, _at), do: :ok
+  def append(%{parts: parts}, at) when at >= tuple_size(parts), do: :ok
+
+  def append(%{interval: {_, to}} = job, at) do
+    part = elem(job.parts, at)
+
+    if part.last != nil and part.last >= to,
+      do: :ok,
+      else: append_part(job, at, part)
+  end
+
+  defp append_part(job, at, part) do
+    targets =
+      for {info, stream} <- job.targets,
+          do: {info.id - 1, stream, fields_before(job, info, at) + 1}
+
+    case Scan.append(job.scan, part, targets, job.interval) do
+      {:ok, parts, counts} -> go_on(job, at, at + parts, counts)
+      :slow -> append_messages(job, at)
+      error -> error
+    end
+  end
+
+  defp go_on(job, at, next, counts) do
+    expected =
+      for {info, _} <- job.targets,
+          do: fields_before(job, info, next) - fields_before(job, info, at)
+
+    if Enum.map(counts, &elem(&1, 0)) == expected do
+      tell(job, counts |> Enum.map(&elem(&1, 1)) |> Enum.sum())
+      append(job, next)
+    else
+      {:error, "a column has other fields than before"}
+    end
+  end
+
+  defp append_messages(job, at) do
+    {from, to} = job.interval
+
+    result =
+      Enum.reduce_while(job.targets, {:ok, 0}, fn {info, stream}, {:ok, sum} ->
+        with {:ok, messages} <- job.messages.(info, at),
+             messages = Enum.filter(messages, &(&1.originating_time in from..to)),
+             {:ok, _stream} <- Writer.append(stream, messages) do
+          {:cont, {:ok, sum + length(messages)}}
+        else
+          error -> {:halt, error}
+        end
+      end)
+
+    with {:ok, sum} <- result do
+      tell(job, sum)
+      append(job, at + 1)
+    end
+  end
+
+  defp tell(_job, 0), do: :ok
+  defp tell(job, n), do: job.told.(n)
+
+  # The fields of a stream's column before a part.
+  defp fields_before(%{parts: parts}, info, at) when at >= tuple_size(parts), do: info.count
+
+  defp fields_before(job, info, at), do: Map.get(elem(job.parts, at).counts, info.id - 1, 0)
+end
