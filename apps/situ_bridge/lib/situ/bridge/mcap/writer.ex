@@ -7,7 +7,8 @@ defmodule Situ.Bridge.Mcap.Writer do
   alias Situ.Bridge.Native
   alias Situ.Error
 
-  defstruct [:path, :ref, channels: %{}, sequences: %{}, count: 0, rows: [], waiting: 0, bytes: 0]
+  # `channels`: by topic, with the sequence number of the next message.
+  defstruct [:path, :ref, channels: %{}, count: 0, rows: [], waiting: 0, bytes: 0]
   @type t :: %__MODULE__{}
 
   @impl true
@@ -93,16 +94,16 @@ defmodule Situ.Bridge.Mcap.Writer do
   @doc "Appends a message; `opts` (`Options.topic/0`) count for the first one of its topic."
   @spec write(t(), String.t(), Situ.Message.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def write(writer, topic, message, opts) do
-    with {:ok, writer, channel} <- channel(writer, topic, message.data, opts),
+    with {:ok, channel, sequence} <- channel(writer, topic, message.data, opts),
          {:ok, bytes} <- Channel.encode(channel, message.data, message.originating_time),
          {recorded, sent} = Extra.fetch_times(message),
          {:ok, recorded} <- time(topic, recorded),
-         {:ok, sent} <- time(topic, sent),
-         sequence = Map.get(writer.sequences, topic, 0),
-         row = {channel.id, rem(sequence, 0x1_0000_0000), recorded, sent, bytes} do
+         {:ok, sent} <- time(topic, sent) do
+      row = {channel.id, rem(sequence, 0x1_0000_0000), recorded, sent, bytes}
+
       hand_over(%{
         writer
-        | sequences: Map.put(writer.sequences, topic, sequence + 1),
+        | channels: Map.put(writer.channels, topic, {channel, sequence + 1}),
           count: writer.count + 1,
           rows: [row | writer.rows],
           waiting: writer.waiting + 1,
@@ -140,7 +141,7 @@ defmodule Situ.Bridge.Mcap.Writer do
 
   defp channel(writer, topic, data, opts) do
     case writer.channels do
-      %{^topic => channel} -> {:ok, writer, channel}
+      %{^topic => {channel, sequence}} -> {:ok, channel, sequence}
       _ -> add(writer, topic, data, opts)
     end
   end
@@ -153,10 +154,8 @@ defmodule Situ.Bridge.Mcap.Writer do
            Failure.wrap(
              Native.mcap_channel(writer.ref, topic, encoding, channel.schema, channel.metadata),
              writer.path
-           ) do
-      channel = %{channel | id: id}
-      {:ok, %{writer | channels: Map.put(writer.channels, topic, channel)}, channel}
-    end
+           ),
+         do: {:ok, %{channel | id: id}, 0}
   end
 
   @impl true

@@ -15,33 +15,32 @@ defmodule Situ.Bridge.Recorder.Export do
     {topic, opts} = Keyword.split(opts, Keyword.keys(module.topic_options()))
     streams = Store.streams(store)
     infos = Map.new(streams, &{&1.name, &1})
-    messages = merged(store, wanted, reading, topic[:encoding])
     topics = Map.new(streams, &{&1.name, typed(topic, &1, module)})
-    topic = &Map.fetch!(topics, &1)
 
     job = %{
       module: module,
       path: path,
       opts: opts,
-      topic: topic,
+      topics: topics,
       infos: infos,
-      progress: progress
+      progress: progress,
+      heads: fn -> heads(store, wanted, reading, topic[:encoding]) end
     }
 
-    written(job, messages, MapSet.new())
+    written(job, MapSet.new())
   end
 
   # A stream's first message settles how it is written where the caller does not. One that a later message does not fit
   # is written as JSON: from the beginning, since a topic is written in one way.
-  defp written(job, messages, json) do
+  defp written(job, json) do
     with {:ok, writer} <- job.module.create(job.path, job.opts) do
-      case copy(messages, writer, job, json) do
+      case copy(writer, job, json) do
         {:ok, writer} ->
           with {:ok, _} <- job.module.finish(writer), do: {:ok, writer.count}
 
         {:error, name, %{code: :not_writable} = error} ->
           if free?(job, name) and not MapSet.member?(json, name),
-            do: written(job, messages, MapSet.put(json, name)),
+            do: written(job, MapSet.put(json, name)),
             else: {:error, error}
 
         {:error, _name, error} ->
@@ -51,27 +50,41 @@ defmodule Situ.Bridge.Recorder.Export do
   end
 
   defp free?(job, name) do
-    topic = job.topic.(name)
+    topic = Map.fetch!(job.topics, name)
 
     Keyword.has_key?(job.module.topic_options(), :encoding) and topic[:type] == nil and
       topic[:encoding] in [nil, :auto]
   end
 
-  defp copy(messages, writer, job, json) do
-    Enum.reduce_while(messages, {:ok, writer}, fn {name, message}, {:ok, writer} ->
-      json? = MapSet.member?(json, name)
-      topic = if json?, do: [encoding: :json], else: job.topic.(name)
+  defp copy(writer, job, json) do
+    topics =
+      Map.new(job.topics, fn {name, topic} ->
+        if name in json, do: {name, {[encoding: :json], true}}, else: {name, {topic, false}}
+      end)
 
-      with :ok <- there(message.data, job, name, json?),
-           {:ok, writer} <- job.module.write(writer, name, message, topic) do
-        if rem(writer.count, 1_000) == 0, do: job.progress.(writer.count)
-        {:cont, {:ok, writer}}
-      else
-        {:error, error} -> {:halt, {:error, name, error}}
-      end
-    end)
+    copy_heads(job.heads.(), writer, job, topics)
   rescue
     error in Error -> {:error, nil, error}
+  end
+
+  defp copy_heads([], writer, _job, _topics), do: {:ok, writer}
+
+  defp copy_heads([{_time, name, [message | rest], next, stream} | heads], writer, job, topics) do
+    %{^name => topic} = topics
+
+    case copy_message(message, name, topic, writer, job) do
+      {:ok, writer} ->
+        if rem(writer.count, 1_000) == 0, do: job.progress.(writer.count)
+        rest |> advance(name, next, stream, heads) |> copy_heads(writer, job, topics)
+
+      {:error, error} ->
+        {:error, name, error}
+    end
+  end
+
+  defp copy_message(message, name, {topic, json?}, writer, job) do
+    with :ok <- there(message.data, job, name, json?),
+         do: job.module.write(writer, name, message, topic)
   end
 
   # ROS has no missing number or text: it would become 0 or "".
@@ -128,31 +141,20 @@ defmodule Situ.Bridge.Recorder.Export do
   defp known?(_type, :json), do: false
   defp known?(type, _ros), do: Library.fetch(Definition.plain(type)) != :error
 
-  # Holds each stream's next message; the earliest goes first.
-  defp merged(store, wanted, reading, encoding) do
+  # Each stream with its next messages, the earliest first: `{time, name, messages, next_ordinal, stream}`.
+  defp heads(store, wanted, reading, encoding) do
     streams = Store.streams(store)
     extras = Extra.streams(streams)
     folded = for {_, %StreamInfo{name: name}} <- extras, do: name
 
-    heads =
-      for info <- streams,
-          wanted == nil or info.name in wanted,
-          info.name not in folded,
-          info.count > 0,
-          from = {whole(store, info.type_name, encoding), {info, extras[info.name]}, reading},
-          head = head(from, first(store, info, reading[:from])),
-          do: head
-
-    Stream.unfold(heads, fn
-      [] ->
-        nil
-
-      heads ->
-        {[message | rest], _, {_, {info, _}, _}} =
-          first = Enum.min_by(heads, fn {[m | _], _, _} -> m.originating_time end)
-
-        {{info.name, message}, advance(heads, first, rest)}
-    end)
+    for info <- streams,
+        wanted == nil or info.name in wanted,
+        info.name not in folded,
+        info.count > 0,
+        stream = {whole(store, info.type_name, encoding), {info, extras[info.name]}, reading},
+        reduce: [] do
+      heads -> advance([], info.name, first(store, info, reading[:from]), stream, heads)
+    end
   end
 
   defp first(_store, _info, nil), do: 0
@@ -164,18 +166,33 @@ defmodule Situ.Bridge.Recorder.Export do
     end
   end
 
-  defp advance(heads, {_, next, stream} = first, []),
-    do: List.delete(heads, first) ++ List.wrap(head(stream, next))
+  defp advance([message | _] = messages, name, next, stream, heads),
+    do:
+      insert(
+        heads,
+        message.originating_time,
+        {message.originating_time, name, messages, next, stream}
+      )
 
-  defp advance(heads, {_, next, stream} = first, rest),
-    do: [{rest, next, stream} | List.delete(heads, first)]
+  defp advance([], name, next, stream, heads) do
+    case read(stream, next) do
+      {[], _next} -> heads
+      {messages, next} -> advance(messages, name, next, stream, heads)
+    end
+  end
 
-  defp head({store, {info, extra}, reading} = stream, from) do
+  # Behind those of the same time, so that streams take turns.
+  defp insert([{other, _, _, _, _} = head | heads], time, new) when other <= time,
+    do: [head | insert(heads, time, new)]
+
+  defp insert(heads, _time, new), do: [new | heads]
+
+  defp read({store, {info, extra}, reading}, from) do
     to = reading[:to] || :unbounded
 
     case store.module.read(store.state, info, from, to, 100, reading) do
-      {:ok, [], _} -> nil
-      {:ok, messages, next} -> {Extra.join(messages, store, extra, from), next, stream}
+      {:ok, [], next} -> {[], next}
+      {:ok, messages, next} -> {Extra.join(messages, store, extra, from), next}
       {:error, error} -> raise error
     end
   end
