@@ -17,7 +17,7 @@ defmodule Situ.Store.Csv do
   `Situ.Store.info/1` as damage.
 
   The file may be of any length: opening passes over it once, and of every 1,000 rows only the place is kept; reading
-  takes them from there.
+  takes them from there. A copy into a store (`Situ.Store.copy/3`) reads all columns in one further pass.
   """
   @behaviour Situ.Store.Reader
   alias Situ.{Error, Message}
