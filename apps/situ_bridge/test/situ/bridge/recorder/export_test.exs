@@ -29,7 +29,7 @@ defmodule Situ.Bridge.Recorder.ExportTest do
     def finish(state), do: {:ok, state}
   end
 
-  test "messages go by time; those of one time in the order of their streams", %{tmp_dir: root} do
+  test "messages go by time, and streams of one rate take turns", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("merged", root)
     # More than are read at once, at equal and at different rates.
     periods = [{"a", 2}, {"b", 2}, {"c", 3}, {"late", 7}]
