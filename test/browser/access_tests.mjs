@@ -140,6 +140,10 @@ const screens = {
     await open(page, main, "minute.0000");
     await page.keyboard.press("?");
   },
+  sensor: async (page) => {
+    await page.goto(`${main}/sensor?name=browser`);
+    await until(page, () => document.querySelector("#camera option"), "the cameras");
+  },
   missing: (page) => page.goto(`${main}/s/nothing`),
 };
 
