@@ -1,8 +1,8 @@
 defmodule Situ.Cluster.Balancer do
   @moduledoc false
   # Looks now and then whether a part of a deployment with `balance:` should move. The first of the members does it for
-  # all; two that both think they are the first move a part twice, which is no harm. It reads the agent's table: an agent
-  # that is busy must not end it, since both end together.
+  # all; two that both think they are the first move a part twice, which is no harm. It reads the agent's table: a busy
+  # agent must not end it, since both end together.
   use GenServer
   alias Situ.Cluster.Member
   require Logger

@@ -149,7 +149,8 @@ defmodule Situ.Cluster.Vitals do
   """
   @spec cpu_ms({:ok, String.t()} | {:error, File.posix()}) :: non_neg_integer()
   def cpu_ms({:ok, stat}) do
-    # The name of the program may contain spaces and parentheses. Fields 14 (user) and 15 (system) are in ticks of 10 ms.
+    # The name of the program may contain spaces and parentheses. Fields 14 (user) and 15 (system) are in ticks of
+    # 10 ms.
     [user, system] =
       stat |> String.split(") ") |> List.last() |> String.split() |> Enum.slice(11, 2)
 

@@ -111,26 +111,6 @@ defmodule Situ.Remote.Address do
     "#{scheme}://#{host}#{port}#{name}#{pin}"
   end
 
-  @doc """
-  Returns the options of `:ssl.connect` that make it compare a host with the names in the server's certificate.
-
-  Erlang looks for an address among the addresses of a certificate only when no name was given.
-
-      iex> Situ.Remote.Address.tls_name_options("lab1")
-      [server_name_indication: ~c"lab1"]
-      iex> Situ.Remote.Address.tls_name_options("10.0.0.3")
-      []
-  """
-  @spec tls_name_options(String.t()) :: keyword()
-  def tls_name_options(host) do
-    name = String.to_charlist(host)
-
-    case :inet.parse_address(name) do
-      {:ok, _address} -> []
-      {:error, _} -> [server_name_indication: name]
-    end
-  end
-
   @doc "Where to connect to now: names are looked up, a port is filled in."
   @spec resolve(t(), map()) :: {:ok, t()} | {:error, Error.t()}
   def resolve(address, names \\ Application.get_env(:situ_remote, :names, %{}))

@@ -2,7 +2,7 @@ defmodule Situ.Remote.Link.Socket do
   @moduledoc false
   # Connections that carry frames, over TCP, TLS and Unix sockets alike.
   alias Situ.{Certificate, Error}
-  alias Situ.Remote.Address
+  alias Situ.Remote.{Address, ServerName}
 
   @typedoc "A connection or a listener, by the module of OTP that has it."
   @type t :: {:gen_tcp | :ssl, term()}
@@ -163,7 +163,7 @@ defmodule Situ.Remote.Link.Socket do
 
   # The certificate must name the host that was asked for, not what it resolved to.
   defp connect_at(:tls, {ip, port}, host, options, tls, timeout) do
-    name = Address.tls_name_options(host)
+    name = ServerName.tls_options(host)
     wrap(:ssl, :ssl.connect(ip, port, options ++ Keyword.merge(name, tls), timeout))
   end
 

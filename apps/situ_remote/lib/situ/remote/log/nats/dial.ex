@@ -2,8 +2,8 @@ defmodule Situ.Remote.Log.Nats.Dial do
   @moduledoc false
   # Connects to one NATS server: greeting, TLS, login and subscriptions.
   alias Situ.{Error, JSON}
-  alias Situ.Remote.Address
   alias Situ.Remote.Log.Nats.Wire
+  alias Situ.Remote.ServerName
 
   @headers 65_536
   @first_ms 3_000
@@ -128,7 +128,7 @@ defmodule Situ.Remote.Log.Nats.Dial do
         {:ok, _} = Application.ensure_all_started(:ssl)
         {host, _port} = state.server
 
-        tls = Keyword.merge([verify: :verify_peer] ++ Address.tls_name_options(host), tls)
+        tls = Keyword.merge([verify: :verify_peer] ++ ServerName.tls_options(host), tls)
 
         upgraded(:ssl.connect(socket, tls, @first_ms), state)
 

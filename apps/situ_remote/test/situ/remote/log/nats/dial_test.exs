@@ -6,7 +6,7 @@ defmodule Situ.Remote.Log.Nats.DialTest do
   @usable ~s(INFO {"version":"2.10.0","jetstream":true}\r\n)
   @refused "-ERR 'Authorization Violation'\r\n"
 
-  # What the server sends, the options of the caller, and the code of the error.
+  # The bytes of the server, the options of the caller, and the code of the error.
   @failures [
     {"HTTP/1.1 400 Bad Request\r\n", [], :log_away},
     {~s(INFO {"version":"2.8.4"}\r\n), [], :old_server},
