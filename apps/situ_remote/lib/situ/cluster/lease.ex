@@ -107,10 +107,11 @@ defmodule Situ.Cluster.Lease do
   end
 
   @doc """
-  Keeps it, in a process of its own: writes it every quarter of its time. When it is lost, or three quarters of it have
-  passed without an answer of the log, `publisher` is killed at once, and this process ends with `:lease_lost`: a node
-  that is cut off stops before its lease ends. Told `{:release, from}` it gives the lease back and says `:released`.
-  Calls `tell` with each number that it has written, and with `:free` when it gives the lease back.
+  Keeps the lease, in a process of its own: writes it every quarter of its time. When it is lost, or three quarters of
+  its time have passed without an answer of the log, `publisher` is killed at once, and this process ends with
+  `{:shutdown, :lease_lost}`: a node that is cut off stops before its lease ends. Told `{:release, from}`, it gives the
+  lease back and says `:released`. Calls `tell` with each number that it has written, and with `:free` when it gives the
+  lease back.
   """
   @spec keep(
           Log.t(),
@@ -168,7 +169,8 @@ defmodule Situ.Cluster.Lease do
 
   defp lost(lease) do
     Process.exit(lease.publisher, :kill)
-    exit(:lease_lost)
+    # No crash: a node that is cut off is expected to step down.
+    exit({:shutdown, :lease_lost})
   end
 
   defp now, do: System.monotonic_time(:millisecond)

@@ -392,6 +392,7 @@ defmodule Situ.Cluster.Runner do
   defp owner(_state), do: Atom.to_string(node())
   defp name(state), do: "#{state.deployment.name}/#{state.part} on #{node()}"
   defp explain({:shutdown, %Error{} = error}), do: Exception.message(error)
+  defp explain({:shutdown, :lease_lost}), do: "this node could not renew its lease in time"
   defp explain(reason), do: inspect(reason, limit: 8)
 
   @doc "The key of the log for one thing about one part."
