@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Ros.Bag do
   alias Situ.Bridge.Mcap.{Codec, Extra}
   alias Situ.Bridge.Recorder.{Export, Exporter}
   alias Situ.Bridge.Ros.Bag.{Chunk, Contents, RealSense, Record, Writer}
-  alias Situ.Bridge.Ros.Places
+  alias Situ.Bridge.Ros.{Places, Track}
   alias Situ.{Error, Message}
   alias Situ.Store.{StreamInfo, Undecoded}
 
@@ -125,30 +125,12 @@ defmodule Situ.Bridge.Ros.Bag do
         schema: if(opts[:messages] == :apart, do: {type, "ros1msg", definition})
       }
 
-      {:cont, {:ok, extra(track, opts[:messages]) ++ tracks}}
+      {:cont, {:ok, Enum.reverse(Track.add_extra(track, opts[:messages]), tracks)}}
     end)
     |> then(fn {:ok, tracks} ->
       {:ok, tracks |> Enum.reverse() |> RealSense.tracks(&first(state, &1))}
     end)
   end
-
-  defp extra(%{codec: codec, situ: situ} = track, :apart) do
-    if Codec.lossy?(codec, situ) do
-      more = %{
-        track
-        | id: Extra.number(track.id),
-          codec: Codec.extra(codec),
-          situ: :map,
-          note: nil
-      }
-
-      [%{more | topic: Extra.name(track.topic), type: "map", schema: nil}, track]
-    else
-      [track]
-    end
-  end
-
-  defp extra(track, _messages), do: [track]
 
   defp first(state, track) do
     with %{count: count} when count > 0 <- track,

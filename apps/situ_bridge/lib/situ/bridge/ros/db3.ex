@@ -6,10 +6,10 @@ defmodule Situ.Bridge.Ros.Db3 do
   Bags of ROS 2 in SQLite (`.db3`) as recordings: `Situ.Store.open("drive/drive_0.db3")`, and so in the studio,
   `bin/situ store`, replay.
 
-  A topic is a stream. Messages (CDR) are decoded by the definitions in the file, which
-  ROS 2 writes since Iron, or else by ROS's own ones; standard ones are Situ's types (`Situ.Bridge.Ros.Standard`). Each
-  file of a bag that was split is a recording. The file is read by the program `sqlite3` (Debian's package of that
-  name), a process of its own, and never written.
+  A topic is a stream. Messages (CDR) are decoded by the definitions in the file, which ROS 2 writes since Iron, or else
+  by ROS's own ones; standard ones are Situ's types (`Situ.Bridge.Ros.Standard`). Each file of a bag that was split is a
+  recording. The program `sqlite3` (Debian's package of that name) reads the file, in a separate process; nothing writes
+  to it.
 
   ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
 
@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Ros.Db3 do
   """
   @behaviour Situ.Store.Reader
   alias Situ.Bridge.Ros.Db3.Sqlite
-  alias Situ.Bridge.Ros.{Definition, Library, Places}
+  alias Situ.Bridge.Ros.{Definition, Library, Places, Track}
   alias Situ.Message
   alias Situ.Store.{StreamInfo, Undecoded}
 
@@ -43,14 +43,13 @@ defmodule Situ.Bridge.Ros.Db3 do
          {:ok, definitions} <- definitions(path),
          {:ok, rows} <-
            Sqlite.query(path, "select topic_id, timestamp, id, length(data) from messages") do
-      places =
-        rows |> numbers() |> Enum.group_by(&hd/1, fn [_, time, id, size] -> {time, id, size} end)
+      places = rows |> Enum.flat_map(&place/1) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
 
       tracks =
         for topic <- topics, track = track(topic, definitions, places, opts[:messages]), do: track
 
       with {:ok, tracks} <- put_stamps(tracks, path, opts[:times]),
-           do: {:ok, new(path, Enum.flat_map(tracks, &[&1 | extra(&1, opts[:messages])]))}
+           do: {:ok, new(path, Enum.flat_map(tracks, &Track.add_extra(&1, opts[:messages])))}
     end
   end
 
@@ -66,11 +65,14 @@ defmodule Situ.Bridge.Ros.Db3 do
     }
   end
 
-  defp numbers(rows) do
-    Enum.flat_map(rows, fn row ->
-      parsed = Enum.map(row, &Integer.parse/1)
-      if Enum.all?(parsed, &match?({_, ""}, &1)), do: [Enum.map(parsed, &elem(&1, 0))], else: []
-    end)
+  # The topic of a message and its place. SQLite does not keep texts out of columns of numbers: such rows are left out.
+  defp place(row) do
+    for [topic, time, id, size] <- numbers(row), id >= 0, size >= 0, do: {topic, {time, id, size}}
+  end
+
+  defp numbers(row) do
+    parsed = Enum.map(row, &Integer.parse/1)
+    if Enum.all?(parsed, &match?({_, ""}, &1)), do: [Enum.map(parsed, &elem(&1, 0))], else: []
   end
 
   # Files of before Iron have none.
@@ -107,7 +109,7 @@ defmodule Situ.Bridge.Ros.Db3 do
         {codec, situ, note} = Codec.new(format, schema, topic)
         codec = Codec.shaped(codec, messages)
 
-        rows = for {_, at, size} = row <- Map.get(places, id, []), at >= 0, size >= 0, do: row
+        rows = Map.get(places, id, [])
 
         %{
           id: id,
@@ -151,45 +153,24 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   defp put_stamps(tracks, _path, :log), do: {:ok, tracks}
 
-  defp stamped_place(row) do
-    {numbers, [start]} = Enum.split(row, 4)
-
-    for [topic, recorded, id, size] <- numbers([numbers]),
+  defp stamped_place([topic, time, id, size, start]) do
+    for {topic, {recorded, id, size}} <- place([topic, time, id, size]),
         {:ok, bytes} <- [Base.decode16(start)],
-        do: {topic, {stamp(bytes) || recorded, id, size}}
+        do: {topic, {read_stamp(bytes) || recorded, id, size}}
   end
 
-  # CDR: a byte of padding, the order of bytes, two bytes of options, then seconds and nanoseconds.
-  defp stamp(<<_, 1, _::16, 0::64>>), do: nil
-  defp stamp(<<_, 0, _::16, 0::64>>), do: nil
-  defp stamp(<<_, 1, _::16, s::little-signed-32, ns::little-32>>), do: s * 1_000_000_000 + ns
-  defp stamp(<<_, 0, _::16, s::signed-32, ns::32>>), do: s * 1_000_000_000 + ns
-  defp stamp(_other), do: nil
+  defp stamped_place(_row), do: []
+
+  # CDR: a byte of padding, the byte order, two bytes of options, then seconds and nanoseconds. No stamp is 0.
+  defp read_stamp(<<_, _, _::16, 0::64>>), do: nil
+  defp read_stamp(<<_, 1, _::16, s::little-signed-32, ns::little-32>>), do: join_stamp(s, ns)
+  defp read_stamp(<<_, 0, _::16, s::signed-32, ns::32>>), do: join_stamp(s, ns)
+  defp read_stamp(_other), do: nil
+
+  defp join_stamp(seconds, ns), do: seconds * 1_000_000_000 + ns
 
   defp put_places(track, nil), do: track
   defp put_places(track, rows), do: %{track | places: Places.pack(rows), stamps?: true}
-
-  # The second stream of an import, of the fields that Situ's types have no place for.
-  defp extra(%{codec: codec, situ: situ} = track, :apart) do
-    if Codec.lossy?(codec, situ) do
-      [
-        %{
-          track
-          | id: Extra.number(track.id),
-            topic: Extra.name(track.topic),
-            type: "map",
-            codec: Codec.extra(codec),
-            situ: :map,
-            note: nil,
-            schema: nil
-        }
-      ]
-    else
-      []
-    end
-  end
-
-  defp extra(_track, _messages), do: []
 
   defp stream(track, name, path) do
     count = Places.count(track.places)
@@ -282,7 +263,7 @@ defmodule Situ.Bridge.Ros.Db3 do
       {:ok,
        for(
          [id, recorded, hex] <- found,
-         [id, recorded] <- numbers([[id, recorded]]),
+         [id, recorded] <- numbers([id, recorded]),
          {:ok, bytes} <- [Base.decode16(hex)],
          into: %{},
          do: {id, {recorded, if(not envelopes?, do: data(bytes, track.codec))}}

@@ -99,6 +99,29 @@ defmodule Situ.Bridge.Ros.Db3Test do
              copy |> Store.open!() |> Store.at("/pose", 0)
   end
 
+  test "rows with other values than numbers are left out", %{tmp_dir: dir} do
+    {:ok, text} = Library.fetch("geometry_msgs/PoseStamped", :ros2)
+    {:ok, parsed} = Definition.parse("geometry_msgs/PoseStamped", text, :ros2)
+    message = %{"header" => %{"stamp" => 2_000}, "pose" => %{"orientation" => %{"w" => 1.0}}}
+    {:ok, bytes} = Wire.encode(parsed, message, :cdr)
+
+    path =
+      bag(dir, """
+      insert into topics values(1, '/pose', 'geometry_msgs/msg/PoseStamped', 'cdr');
+      #{insert(1, 1, 3_000, bytes)}
+      insert into messages values(2, 1, '4' || char(31) || '5', x'00');
+      insert into messages values(3, 1, '6' || char(30) || '7', x'00');
+      insert into messages values(-4, 1, 8, x'00');
+      insert into messages values(5, 1, 9, null);
+      """)
+
+    for times <- [:log, :header] do
+      store = Store.open!(path, reader_opts: [times: times])
+      assert Store.count(store, "/pose") == 1
+      assert {:ok, [%{data: %Situ.Pose{}}]} = Store.read(store, "/pose")
+    end
+  end
+
   test "what is no bag is an error that says why", %{tmp_dir: dir} do
     path = Path.join(dir, "x.db3")
     File.write!(path, "no database at all, but long enough to be looked at")

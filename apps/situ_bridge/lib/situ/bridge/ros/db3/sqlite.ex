@@ -1,16 +1,16 @@
 defmodule Situ.Bridge.Ros.Db3.Sqlite do
   @moduledoc false
-  # Queries of a database by the program `sqlite3`, a process of its own.
+  # Queries an SQLite database with the program `sqlite3`, in a separate process.
   alias Situ.Error
 
   @doc """
-  Returns the rows that a query finds, as texts. Error `:not_bag` for a file that is no such database, `:no_sqlite`
-  without the program.
+  Returns the rows that a query finds, as texts. Errors: `:not_bag` if the file is not an SQLite database, `:no_sqlite`
+  if the program is not installed, `:io`.
   """
   @spec query(Path.t(), String.t()) :: {:ok, [[String.t()]]} | {:error, Error.t()}
-  # Columns and rows are separated by characters that no name has.
   def query(path, sql) do
-    with {:ok, sqlite} <- sqlite(), :ok <- there(path) do
+    with {:ok, sqlite} <- find_program(), :ok <- check_file(path) do
+      # Names do not contain the characters that separate columns and rows.
       args = [
         "-readonly",
         "-safe",
@@ -29,12 +29,14 @@ defmodule Situ.Bridge.Ros.Db3.Sqlite do
 
         {out, _} ->
           {:error,
-           Error.new(:not_bag, "#{path} cannot be read as a bag of ROS 2", why: text(out))}
+           Error.new(:not_bag, "#{path} cannot be read as a bag of ROS 2",
+             why: shorten_output(out)
+           )}
       end
     end
   end
 
-  defp sqlite do
+  defp find_program do
     case System.find_executable("sqlite3") do
       nil ->
         {:error,
@@ -45,13 +47,13 @@ defmodule Situ.Bridge.Ros.Db3.Sqlite do
     end
   end
 
-  defp there(path) do
+  defp check_file(path) do
     case File.stat(path) do
       {:ok, %{type: :regular}} ->
         :ok
 
       {:ok, _} ->
-        {:error, Error.new(:not_bag, "#{path} is no file")}
+        {:error, Error.new(:not_bag, "#{path} is not a file")}
 
       {:error, reason} ->
         {:error,
@@ -59,10 +61,9 @@ defmodule Situ.Bridge.Ros.Db3.Sqlite do
     end
   end
 
-  defp text(out),
-    do:
-      if(String.valid?(out),
-        do: out |> String.trim() |> String.slice(0, 200),
-        else: "sqlite3 refuses it"
-      )
+  defp shorten_output(out) do
+    if String.valid?(out),
+      do: out |> String.trim() |> String.slice(0, 200),
+      else: "sqlite3 refuses it"
+  end
 end
