@@ -2,7 +2,7 @@
 defmodule Nodes do
   def start(log, name, labels, peers, net) do
     ip = Net.ip(net, name)
-    node = :"#{name}-#{free_port()}@#{ip}"
+    node = :"#{name}-#{Situ.Test.FreePort.tcp()}@#{ip}"
     tuple = "{" <> String.replace(ip, ".", ",") <> "}"
     ebin = System.get_env("SITU_EBIN") |> String.split()
 
@@ -45,7 +45,7 @@ defmodule Nodes do
   end
 
   @doc "A nats-server on this machine, or `nil` where there is none."
-  def nats(work, net, port \\ free_port()) do
+  def nats(work, net, port \\ Situ.Test.FreePort.tcp()) do
     if path = nats_path() do
       args = ["-a", Net.ip(net, :here), "-p", "#{port}", "-js", "-sd", Path.join(work, "nats")]
 
@@ -94,12 +94,5 @@ defmodule Nodes do
   def call(nodes, fun, args) do
     node = nodes |> Map.values() |> hd() |> Map.fetch!(:node)
     :erpc.call(node, Situ.Cluster, fun, args, 300_000)
-  end
-
-  def free_port do
-    {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
-    {:ok, port} = :inet.port(socket)
-    :gen_tcp.close(socket)
-    port
   end
 end

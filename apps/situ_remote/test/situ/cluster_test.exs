@@ -352,7 +352,7 @@ defmodule Situ.ClusterTest do
 
   if NatsServer.path() do
     test "a node that starts before its log waits for it", %{tmp_dir: dir} do
-      port = NatsServer.free_port()
+      port = Situ.Test.FreePort.tcp()
 
       log =
         ExUnit.CaptureLog.capture_log(fn ->

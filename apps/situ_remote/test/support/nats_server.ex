@@ -1,6 +1,7 @@
 defmodule Situ.Test.NatsServer do
   @moduledoc false
   # A real nats-server for tests: an OS process of its own that can be killed and started again on the same data.
+  alias Situ.Test.FreePort
 
   @doc "Its path, or `nil`: bin/setup --for test fetches it."
   @spec path() :: Path.t() | nil
@@ -14,7 +15,7 @@ defmodule Situ.Test.NatsServer do
   @doc "Starts one in `dir`; `settings` are lines of its configuration."
   @spec start(Path.t(), keyword()) :: map()
   def start(dir, opts \\ []) do
-    port = opts[:port] || free_port()
+    port = opts[:port] || FreePort.tcp()
     File.mkdir_p!(dir)
     config = Path.join(dir, "server.conf")
     data = Path.join(dir, "data")
@@ -59,9 +60,6 @@ defmodule Situ.Test.NatsServer do
     gone(server.pid, 600)
     server
   end
-
-  @spec free_port() :: :inet.port_number()
-  defdelegate free_port, to: Situ.Test.FreePort, as: :tcp
 
   defp wait(port, left) do
     case :gen_tcp.connect({127, 0, 0, 1}, port, [], 1_000) do

@@ -242,7 +242,7 @@ defmodule Situ.Bridge.Columnar do
   defp take_row(_row, {last, left_out}, _wanted), do: {[], {last, left_out + 1}}
 
   defp report_rows({_last, left_out} = state, path, notice) do
-    why = "they have no time, or one that is not later than that of the row before"
+    why = "they have no time, or it is not later than the time of the row before"
     if left_out > 0, do: notice.("#{path}: #{left_out} rows are left out: #{why}")
     {[], state}
   end

@@ -7,9 +7,9 @@ defmodule Situ.Live.Peers do
   @most 1_000
 
   @doc """
-  Returns the processes of connections beyond what one address may hold of a port, and all processes that stay.
+  Returns the processes of connections to a port beyond the share of their address, and the processes that may stay.
 
-  Connections that were there at the last look (`earlier`, what it returned) stay before those that came since.
+  `earlier` is the set of processes that could stay at the last call: they have precedence over later connections.
   """
   @spec find_excess(:inet.port_number(), MapSet.t(pid()), pos_integer()) ::
           {[pid()], MapSet.t(pid())}

@@ -1,8 +1,8 @@
 defmodule Situ.Cluster.Balancer do
   @moduledoc false
-  # Looks now and then whether a part of a deployment with `balance:` should move. The first of the members does it for
-  # all; two that both think they are the first move a part twice, which is no harm. It reads the agent's table: a busy
-  # agent must not end it, since both end together.
+  # Checks regularly whether a part of a deployment with `balance:` should move. The first of the members does it for
+  # all. If two members both think that they are the first, a part moves twice, which does no harm. The balancer reads
+  # the agent's table instead of calling the agent: a call to a busy agent could time out and end both.
   use GenServer
   alias Situ.Cluster.Member
   require Logger

@@ -45,7 +45,7 @@ defmodule Situ.Cluster.IdentityTest do
       for folder <- [ours, theirs], do: :ok = Identity.create(folder)
       server = Path.join(ours, "nats-server")
       config = Path.join(server, "nats-server.conf")
-      port = NatsServer.free_port()
+      port = Situ.Test.FreePort.tcp()
       text = File.read!(config) |> String.replace("0.0.0.0:4222", "127.0.0.1:#{port}")
       File.write!(config, text)
       running = NatsServer.run(%{dir: server, port: port, config: "nats-server.conf"})

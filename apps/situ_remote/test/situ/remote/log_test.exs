@@ -244,7 +244,7 @@ defmodule Situ.Remote.LogTest do
     refute error.what =~ "secret"
 
     assert {:error, %{code: :log_away}} =
-             Log.connect("nats://127.0.0.1:#{NatsServer.free_port()}")
+             Log.connect("nats://127.0.0.1:#{Situ.Test.FreePort.tcp()}")
 
     assert {:error, %{code: :no_log}} = Log.connect("/proc/nothing/here")
   end

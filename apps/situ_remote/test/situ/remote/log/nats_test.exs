@@ -134,7 +134,7 @@ defmodule Situ.Remote.Log.NatsTest do
 
     # A site with a server of its own, which calls the hub. The one keeps no log, the other its own one.
     test "a log at a hub is written to from a site, over a leaf link", %{tmp_dir: dir} do
-      leaf = NatsServer.free_port()
+      leaf = Situ.Test.FreePort.tcp()
       listen = ~s(leafnodes { listen: "127.0.0.1:#{leaf}" })
       hub = domain(Path.join(dir, "hub"), "hub", listen)
       remote = ~s(leafnodes { remotes: [ { url: "nats://127.0.0.1:#{leaf}" } ] })
@@ -158,7 +158,7 @@ defmodule Situ.Remote.Log.NatsTest do
     end
 
     test "three servers: the leader is killed, nothing is lost", %{tmp_dir: dir} do
-      ports = for _ <- 1..3, do: {NatsServer.free_port(), NatsServer.free_port()}
+      ports = for _ <- 1..3, do: {Situ.Test.FreePort.tcp(), Situ.Test.FreePort.tcp()}
       routes = Enum.map_join(ports, ", ", fn {_, route} -> ~s("nats://127.0.0.1:#{route}") end)
 
       servers =

@@ -63,7 +63,7 @@ defmodule Situ.Remote.Rendezvous.NatsTest do
   end
 
   test "one that is not there yet is waited for, and it is said", %{tmp_dir: dir} do
-    port = NatsServer.free_port()
+    port = Situ.Test.FreePort.tcp()
     member = join(%{url: "nats://127.0.0.1:#{port}"}, "a")
     eventually(fn -> Rendezvous.error(member) end)
     assert Rendezvous.error(member) =~ "no NATS server"
@@ -104,7 +104,7 @@ defmodule Situ.Remote.Rendezvous.NatsTest do
 
   # An edge site with a server of its own, which calls the hub: a leaf link.
   test "names reach over a leaf link, and are names of links", %{tmp_dir: dir} do
-    leaf = NatsServer.free_port()
+    leaf = Situ.Test.FreePort.tcp()
     hub = server(Path.join(dir, "hub"), settings: ~s(leafnodes { listen: "127.0.0.1:#{leaf}" }))
     remotes = ~s(leafnodes { remotes: [ { url: "nats://127.0.0.1:#{leaf}" } ] })
     edge = server(Path.join(dir, "edge"), settings: remotes)

@@ -1,6 +1,6 @@
 defmodule Situ.Store.Copying.Passes do
   @moduledoc false
-  # The streams of a copy, as few passes over the originals as their readers need.
+  # Writes the streams of a copy, in as few passes over the originals as their readers need.
   alias Situ.Error
   alias Situ.Store.{Reading, StreamInfo, Transfer, Writer}
 
@@ -41,15 +41,9 @@ defmodule Situ.Store.Copying.Passes do
   end
 
   defp open_transfers(writer, parts, opts, report) do
-    opened =
-      Enum.reduce_while(parts, {:ok, []}, fn {info, sources}, {:ok, transfers} ->
-        case Transfer.open(writer, info, sources, opts, report) do
-          {:ok, transfer} -> {:cont, {:ok, [transfer | transfers]}}
-          error -> {:halt, error}
-        end
-      end)
-
-    with {:ok, transfers} <- opened, do: {:ok, Enum.reverse(transfers)}
+    Error.map(parts, fn {info, sources} ->
+      Transfer.open(writer, info, sources, opts, report)
+    end)
   end
 
   defp take(transfers, [first | _] = sources, opts) do
@@ -69,7 +63,7 @@ defmodule Situ.Store.Copying.Passes do
   defp take_messages([transfer], [sources], opts) do
     taken =
       Enum.reduce_while(sources, {:ok, transfer}, fn {store, info} = source, {:ok, transfer} ->
-        with {:ok, first} <- first(store, info, opts[:from]),
+        with {:ok, first} <- seek_first(store, info, opts[:from]),
              {:ok, transfer, _} <-
                Transfer.take(transfer, source, first, opts[:to] || :unbounded) do
           {:cont, {:ok, transfer}}
@@ -90,8 +84,8 @@ defmodule Situ.Store.Copying.Passes do
     end)
   end
 
-  defp first(_store, _info, nil), do: {:ok, 0}
-  defp first(store, info, from), do: Reading.seek(store, info, from)
+  defp seek_first(_store, _info, nil), do: {:ok, 0}
+  defp seek_first(store, info, from), do: Reading.seek(store, info, from)
 
   defp clamp(time), do: time |> max(@earliest) |> min(@latest)
 

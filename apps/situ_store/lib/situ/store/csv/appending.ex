@@ -20,8 +20,8 @@ defmodule Situ.Store.Csv.Appending do
   @typep error :: {:error, String.t() | Situ.Error.t()}
 
   @doc """
-  Appends the parts from number `at` on. `messages` returns those of a stream in a part. A text as the error is what is
-  wrong with the file.
+  Appends the parts from number `at` on. `messages` returns the messages of a stream in a part. An error that is a text
+  says what is wrong with the file.
   """
   @spec append(t(), non_neg_integer()) :: :ok | error()
   def append(%{targets: []}, _at), do: :ok
@@ -41,19 +41,19 @@ defmodule Situ.Store.Csv.Appending do
           do: {info.id - 1, stream, fields_before(job, info, at) + 1}
 
     case Scan.append(job.scan, part, targets, job.interval) do
-      {:ok, parts, counts} -> go_on(job, at, at + parts, counts)
+      {:ok, parts, counts} -> append_rest(job, at, at + parts, counts)
       :slow -> append_messages(job, at)
       error -> error
     end
   end
 
-  defp go_on(job, at, next, counts) do
+  defp append_rest(job, at, next, counts) do
     expected =
       for {info, _} <- job.targets,
           do: fields_before(job, info, next) - fields_before(job, info, at)
 
     if Enum.map(counts, &elem(&1, 0)) == expected do
-      tell(job, counts |> Enum.map(&elem(&1, 1)) |> Enum.sum())
+      report_count(job, counts |> Enum.map(&elem(&1, 1)) |> Enum.sum())
       append(job, next)
     else
       {:error, "a column has other fields than before"}
@@ -75,13 +75,13 @@ defmodule Situ.Store.Csv.Appending do
       end)
 
     with {:ok, sum} <- result do
-      tell(job, sum)
+      report_count(job, sum)
       append(job, at + 1)
     end
   end
 
-  defp tell(_job, 0), do: :ok
-  defp tell(job, n), do: job.told.(n)
+  defp report_count(_job, 0), do: :ok
+  defp report_count(job, n), do: job.told.(n)
 
   # The fields of a stream's column before a part.
   defp fields_before(%{parts: parts}, info, at) when at >= tuple_size(parts), do: info.count
