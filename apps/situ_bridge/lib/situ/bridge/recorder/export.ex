@@ -75,7 +75,7 @@ defmodule Situ.Bridge.Recorder.Export do
     case copy_message(message, name, topic, writer, job) do
       {:ok, writer} ->
         if rem(writer.count, 1_000) == 0, do: job.progress.(writer.count)
-        rest |> advance(name, next, stream, heads) |> copy_heads(writer, job, topics)
+        rest |> put_head(name, next, stream, heads) |> copy_heads(writer, job, topics)
 
       {:error, error} ->
         {:error, name, error}
@@ -153,7 +153,7 @@ defmodule Situ.Bridge.Recorder.Export do
         info.count > 0,
         stream = {whole(store, info.type_name, encoding), {info, extras[info.name]}, reading},
         reduce: [] do
-      heads -> advance([], info.name, first(store, info, reading[:from]), stream, heads)
+      heads -> put_head([], info.name, first(store, info, reading[:from]), stream, heads)
     end
   end
 
@@ -166,28 +166,28 @@ defmodule Situ.Bridge.Recorder.Export do
     end
   end
 
-  defp advance([message | _] = messages, name, next, stream, heads),
+  defp put_head([message | _] = messages, name, next, stream, heads),
     do:
-      insert(
+      insert_head(
         heads,
         message.originating_time,
         {message.originating_time, name, messages, next, stream}
       )
 
-  defp advance([], name, next, stream, heads) do
-    case read(stream, next) do
+  defp put_head([], name, next, stream, heads) do
+    case read_messages(stream, next) do
       {[], _next} -> heads
-      {messages, next} -> advance(messages, name, next, stream, heads)
+      {messages, next} -> put_head(messages, name, next, stream, heads)
     end
   end
 
-  # Behind those of the same time, so that streams take turns.
-  defp insert([{other, _, _, _, _} = head | heads], time, new) when other <= time,
-    do: [head | insert(heads, time, new)]
+  # After those of the same time, so that streams take turns.
+  defp insert_head([{other, _, _, _, _} = head | heads], time, new) when other <= time,
+    do: [head | insert_head(heads, time, new)]
 
-  defp insert(heads, _time, new), do: [new | heads]
+  defp insert_head(heads, _time, new), do: [new | heads]
 
-  defp read({store, {info, extra}, reading}, from) do
+  defp read_messages({store, {info, extra}, reading}, from) do
     to = reading[:to] || :unbounded
 
     case store.module.read(store.state, info, from, to, 100, reading) do
