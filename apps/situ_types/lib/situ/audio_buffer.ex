@@ -1,9 +1,9 @@
 defmodule Situ.AudioBuffer do
   @moduledoc """
-  A piece of sound: interleaved samples and their `Situ.AudioFormat`.
+  A chunk of audio: interleaved samples and their `Situ.AudioFormat`.
 
-  As a message, its **originating time is the time of its end**: the moment after its last frame. Frame `i` of `n` spans
-  `time - (n - i) / rate` to `time - (n - i - 1) / rate`.
+  In a message, the **originating time is the end time of the buffer**: the moment after its last frame. Frame `i` of
+  `n` spans `time - (n - i) / rate` to `time - (n - i - 1) / rate`.
 
       iex> buffer = Situ.AudioBuffer.from_samples([0, 16384, -16384, 0], Situ.AudioFormat.pcm(16_000))
       iex> buffer
@@ -25,13 +25,13 @@ defmodule Situ.AudioBuffer do
     format: [
       type: {:struct, AudioFormat},
       default: Macro.escape(%AudioFormat{}),
-      doc: "The format of the bytes."
+      doc: "The sample format of `data`."
     ],
-    data: [type: :string, required: true, doc: "Whole frames, interleaved, little-endian."]
+    data: [type: :string, required: true, doc: "Complete frames, interleaved, little-endian."]
   ]
 
   @doc """
-  A checked buffer; nothing is copied.
+  Builds a validated buffer without copying `data`.
 
       iex> {:error, error} = Situ.AudioBuffer.new(format: Situ.AudioFormat.pcm(8_000, 2), data: <<1, 2, 3>>)
       iex> error.what
@@ -46,11 +46,11 @@ defmodule Situ.AudioBuffer do
     end
   end
 
-  @doc "As `new/1`, but returns the buffer or raises the error."
+  @doc "Like `new/1`, but returns the buffer or raises the error."
   @spec new!(keyword()) :: t()
   def new!(opts), do: Situ.Error.unwrap!(new(opts))
 
-  @doc "Checks a struct built by hand."
+  @doc "Validates a struct that was built by hand."
   @spec validate(t()) :: result()
   def validate(%__MODULE__{format: %AudioFormat{} = format, data: data} = buffer)
       when is_binary(data) do
@@ -71,7 +71,7 @@ defmodule Situ.AudioBuffer do
   def validate(%__MODULE__{}), do: bad("an audio buffer needs a Situ.AudioFormat and a binary")
 
   @doc """
-  A buffer of silence.
+  Builds a buffer of silence.
 
       iex> Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(8_000, 1, :u8), 2).data
       <<128, 128>>
@@ -86,12 +86,12 @@ defmodule Situ.AudioBuffer do
     }
   end
 
-  @doc "Frames in the buffer."
+  @doc "Returns the number of frames in the buffer."
   @spec frames(t()) :: non_neg_integer()
   def frames(%__MODULE__{} = b), do: div(byte_size(b.data), AudioFormat.bytes_per_frame(b.format))
 
   @doc """
-  How long it lasts, nanoseconds.
+  Returns the duration of the buffer in nanoseconds.
 
       iex> Situ.AudioBuffer.duration(Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(16_000), 320))
       20_000_000
@@ -99,12 +99,12 @@ defmodule Situ.AudioBuffer do
   @spec duration(t()) :: Situ.Time.duration()
   def duration(%__MODULE__{} = b), do: AudioFormat.frames_to_ns(b.format, frames(b))
 
-  @doc "When a buffer whose end is `originating_time` began."
+  @doc "Returns the start time of a buffer that ends at `originating_time`."
   @spec start_time(t(), Situ.Time.t()) :: Situ.Time.t()
   def start_time(%__MODULE__{} = b, originating_time), do: originating_time - duration(b)
 
   @doc """
-  Buffers of one format as one.
+  Concatenates buffers that have the same format.
 
       iex> one = Situ.AudioBuffer.from_samples([1], Situ.AudioFormat.pcm())
       iex> {:ok, two} = Situ.AudioBuffer.concat([one, one])
@@ -124,7 +124,7 @@ defmodule Situ.AudioBuffer do
   end
 
   @doc """
-  `count` frames from frame `first` on, as a part of the same memory; clipped to what there is.
+  Returns up to `count` frames, starting at frame `first`. The result shares memory with the buffer.
   """
   @spec slice(t(), non_neg_integer(), non_neg_integer()) :: t()
   def slice(%__MODULE__{} = b, first, count) when first >= 0 and count >= 0 do
@@ -135,7 +135,8 @@ defmodule Situ.AudioBuffer do
   end
 
   @doc """
-  Interleaved sample values as a list: for tests and small pieces. Use the operators for real sound.
+  Returns the interleaved sample values as a list. Intended for tests and short buffers; for real audio, use the audio
+  operators.
   """
   @spec to_samples(t()) :: [number()]
   def to_samples(%__MODULE__{format: %{sample: sample}, data: data}) do
@@ -149,7 +150,7 @@ defmodule Situ.AudioBuffer do
     end
   end
 
-  @doc "A buffer from interleaved sample values, in the format's own range."
+  @doc "Builds a buffer from interleaved sample values in the range of the format."
   @spec from_samples([number()], AudioFormat.t()) :: t()
   def from_samples(values, %AudioFormat{sample: sample} = format) do
     data =
@@ -190,8 +191,8 @@ defmodule Situ.AudioBuffer do
   def decode(_), do: bad("not a stored audio buffer")
 
   @doc """
-  The waveform as points of a millisecond each (minimum, maximum, last value; full scale 1.0; all channels together),
-  each with the time of its beginning.
+  Returns the waveform as points of one millisecond each. A point holds its start time, then the minimum, maximum and
+  last value over all channels (full scale is 1.0), and the number of frames.
 
       iex> buffer = Situ.AudioBuffer.from_samples([0, 16384, -16384], Situ.AudioFormat.pcm(2000))
       iex> Situ.AudioBuffer.points(buffer, 1_500_000)
@@ -213,7 +214,7 @@ defmodule Situ.AudioBuffer do
 
     frames = div(byte_size(piece), AudioFormat.bytes_per_frame(format))
 
-    # Samples that are not numbers have no place in a drawing.
+    # Samples that are not finite numbers cannot be drawn.
     case to_samples(%{buffer | data: piece}) do
       [] ->
         later

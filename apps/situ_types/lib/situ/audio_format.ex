@@ -1,6 +1,6 @@
 defmodule Situ.AudioFormat do
   @moduledoc """
-  The format of audio bytes: samples per second, channels, and the type of one sample.
+  Describes audio data: sample rate, channel count and sample type.
 
   Channels are interleaved, little-endian. A *frame* is one sample of every channel.
 
@@ -28,13 +28,13 @@ defmodule Situ.AudioFormat do
   @codes Enum.with_index(Keyword.keys(@samples), 1)
 
   @schema [
-    rate: [type: {:integer, 1, 16_000_000}, default: 16_000, doc: "Frames a second, Hz."],
-    channels: [type: {:integer, 1, 1024}, default: 1, doc: "Interleaved channels."],
-    sample: [type: {:in, Keyword.keys(@samples)}, default: :s16, doc: "Type of one sample."]
+    rate: [type: {:integer, 1, 16_000_000}, default: 16_000, doc: "Sample rate in Hz."],
+    channels: [type: {:integer, 1, 1024}, default: 1, doc: "Number of interleaved channels."],
+    sample: [type: {:in, Keyword.keys(@samples)}, default: :s16, doc: "Sample type."]
   ]
 
   @doc """
-  A checked format. Without options: 16 kHz mono 16 bit.
+  Builds a validated format. The defaults are 16 kHz, mono, 16 bit.
 
   #{Situ.Options.docs(@schema)}
 
@@ -52,7 +52,7 @@ defmodule Situ.AudioFormat do
   end
 
   @doc """
-  The format with these numbers; raises `ArgumentError` on impossible ones.
+  Builds a format from its three values; raises `ArgumentError` if one is out of range.
 
       iex> Situ.AudioFormat.pcm(16_000, 1, :f32).sample
       :f32
@@ -65,15 +65,15 @@ defmodule Situ.AudioFormat do
     end
   end
 
-  @doc "Checks a struct built by hand."
+  @doc "Validates a struct that was built by hand."
   @spec validate(t()) :: {:ok, t()} | {:error, Error.t()}
   def validate(%__MODULE__{rate: rate, channels: channels, sample: sample} = format) do
     cond do
       not (is_integer(rate) and rate in 1..16_000_000) ->
-        bad("a sample rate of #{inspect(rate)} Hz is impossible (1 to 16,000,000)")
+        bad("sample rate #{inspect(rate)} Hz is out of range (1 to 16,000,000)")
 
       not (is_integer(channels) and channels in 1..1024) ->
-        bad("#{inspect(channels)} channels are impossible (1 to 1024)")
+        bad("channel count #{inspect(channels)} is out of range (1 to 1024)")
 
       not Keyword.has_key?(@samples, sample) ->
         bad("unknown sample type #{inspect(sample)}, known: #{inspect(Keyword.keys(@samples))}")
@@ -83,25 +83,25 @@ defmodule Situ.AudioFormat do
     end
   end
 
-  @doc "Every sample type."
+  @doc "Lists all sample types."
   @spec samples() :: [sample()]
   def samples, do: Keyword.keys(@samples)
 
-  @doc "Bytes of one sample of one channel."
+  @doc "Returns the number of bytes in one sample of one channel."
   @spec bytes_per_sample(t() | sample()) :: pos_integer()
   def bytes_per_sample(%__MODULE__{sample: sample}), do: bytes_per_sample(sample)
   for {sample, bytes} <- @samples, do: def(bytes_per_sample(unquote(sample)), do: unquote(bytes))
 
-  @doc "Bytes of one frame (all channels)."
+  @doc "Returns the number of bytes in one frame (all channels)."
   @spec bytes_per_frame(t()) :: pos_integer()
   def bytes_per_frame(%__MODULE__{} = f), do: f.channels * bytes_per_sample(f.sample)
 
-  @doc "Bytes of one second."
+  @doc "Returns the number of bytes in one second of audio."
   @spec bytes_per_second(t()) :: pos_integer()
   def bytes_per_second(%__MODULE__{} = f), do: f.rate * bytes_per_frame(f)
 
   @doc """
-  How long `frames` frames last, in nanoseconds, rounded to the nearest.
+  Converts a number of frames to nanoseconds, rounded to the nearest.
 
       iex> Situ.AudioFormat.frames_to_ns(Situ.AudioFormat.pcm(44_100), 441)
       10_000_000
@@ -113,7 +113,7 @@ defmodule Situ.AudioFormat do
     do: Integer.floor_div(frames * 1_000_000_000 + div(rate, 2), rate)
 
   @doc """
-  How many frames begin in a duration: rounded to the nearest.
+  Converts a duration to a number of frames, rounded to the nearest.
 
       iex> Situ.AudioFormat.ns_to_frames(Situ.AudioFormat.pcm(16_000), Situ.Time.ms(20))
       320

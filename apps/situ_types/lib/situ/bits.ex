@@ -1,9 +1,9 @@
 defmodule Situ.Bits do
   @moduledoc """
-  Sizes in binary patterns for all versions of Elixir.
+  Writes sizes in binary patterns for every supported version of Elixir.
 
-  A pattern whose size is a variable from outside of it is written `size(n)` before Elixir 1.20, and `size(^n)` from
-  then on. `known/1` is either:
+  When the size in a pattern is a variable bound outside the pattern, Elixir before 1.20 expects `size(n)` and later
+  versions expect `size(^n)`. The macro `known/1` expands to the right form:
 
       iex> import Situ.Bits, only: [known: 1]
       iex> n = 2
@@ -12,7 +12,7 @@ defmodule Situ.Bits do
       {"ab", "cde"}
   """
 
-  @doc "The size of a segment, from variables that have their values before the match."
+  @doc "Expands to the size of a binary segment. Its variables must be bound before the match."
   defmacro known(size)
 
   if Version.match?(System.version(), ">= 1.20.0") do

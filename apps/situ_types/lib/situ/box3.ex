@@ -1,6 +1,6 @@
 defmodule Situ.Box3 do
   @moduledoc """
-  A box in space: bounds `min..max` (metres) in the frame of its pose.
+  A 3D box with bounds `min..max` (metres) in the frame of its pose.
 
       iex> box = Situ.Box3.new!({-1.0, -1.0, 0.0}, {1.0, 1.0, 2.0})
       iex> {Situ.Box3.center(box), Situ.Box3.volume(box), Situ.Box3.contains?(box, {0.5, 0.5, 2.0})}
@@ -15,7 +15,7 @@ defmodule Situ.Box3 do
   @type facet :: :x_min | :x_max | :y_min | :y_max | :z_min | :z_max
 
   @doc """
-  The box with these bounds; every coordinate of `min` must be at most that of `max`. Without a pose it is upright.
+  Builds a box. No coordinate of `min` may exceed its counterpart in `max`. Without a pose, the box is axis-aligned.
   """
   @spec new(Vector3.t(), Vector3.t(), Pose.t() | nil) :: {:ok, t()} | {:error, Error.t()}
   def new({ax, ay, az} = min, {bx, by, bz} = max, pose \\ nil) do
@@ -25,15 +25,15 @@ defmodule Situ.Box3 do
         {:error,
          Error.new(
            :bad_box,
-           "a box from #{inspect(min)} to #{inspect(max)}: each minimum must be at most the maximum"
+           "invalid box from #{inspect(min)} to #{inspect(max)}: each minimum must be at most the maximum"
          )}
   end
 
-  @doc "As `new/3`, but returns the box or raises the error."
+  @doc "Like `new/3`, but returns the box or raises the error."
   @spec new!(Vector3.t(), Vector3.t(), Pose.t() | nil) :: t()
   def new!(min, max, pose \\ nil), do: min |> new(max, pose) |> Error.unwrap!()
 
-  @doc "The smallest upright box that holds all points; `nil` for none."
+  @doc "Returns the smallest axis-aligned box around the points, or `nil` for an empty list."
   @spec around([Vector3.t()]) :: t() | nil
   def around([]), do: nil
 
@@ -51,32 +51,32 @@ defmodule Situ.Box3 do
       {Enum.map(points, &elem(&1, 0)), Enum.map(points, &elem(&1, 1)),
        Enum.map(points, &elem(&1, 2))}
 
-  @doc "Extents along the box's own axes (metres)."
+  @doc "Returns the side lengths along the axes of the box (metres)."
   @spec size(t()) :: Vector3.t()
   def size(%__MODULE__{} = box), do: Vector3.subtract(box.max, box.min)
 
-  @doc "Volume (cubic metres)."
+  @doc "Returns the volume (cubic metres)."
   @spec volume(t()) :: float()
   def volume(%__MODULE__{} = box) do
     {x, y, z} = size(box)
     x * y * z
   end
 
-  @doc "Whether at least one extent is 0."
+  @doc "Returns whether at least one side length is 0."
   @spec degenerate?(t()) :: boolean()
   def degenerate?(box), do: volume(box) == 0
 
-  @doc "The middle, in the outer frame."
+  @doc "Returns the center in the outer frame."
   @spec center(t()) :: Vector3.t()
   def center(%__MODULE__{} = box), do: outer(box, Vector3.lerp(box.min, box.max, 0.5))
 
-  @doc "The eight corners in the outer frame: z slowest, x fastest."
+  @doc "Returns the eight corners in the outer frame. The x coordinate varies fastest, z slowest."
   @spec corners(t()) :: [Vector3.t()]
   def corners(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box) do
     for z <- [az, bz], y <- [ay, by], x <- [ax, bx], do: outer(box, {x, y, z})
   end
 
-  @doc "The twelve edges, as pairs of places in `corners/1`."
+  @doc "Returns the twelve edges as pairs of indices into `corners/1`."
   @spec edges() :: [{0..7, 0..7}]
   def edges do
     [
@@ -97,12 +97,12 @@ defmodule Situ.Box3 do
 
   @facets [:x_min, :x_max, :y_min, :y_max, :z_min, :z_max]
 
-  @doc "The names of the six facets."
+  @doc "Lists the names of the six facets."
   @spec facets() :: [facet()]
   def facets, do: @facets
 
   @doc """
-  One facet, in the outer frame; its normal points out of the box.
+  Returns one facet as a rectangle in the outer frame. Its normal points out of the box.
 
       iex> box = Situ.Box3.new!({0.0, 0.0, 0.0}, {1.0, 2.0, 3.0})
       iex> front = Situ.Box3.facet(box, :x_max)
@@ -131,7 +131,7 @@ defmodule Situ.Box3 do
     Rectangle3.new!(pose, width, height)
   end
 
-  @doc "Whether a point lies in the box or at most `epsilon` (metres) outside of it."
+  @doc "Returns whether a point is in the box or at most `epsilon` (metres) outside it."
   @spec contains?(t(), Vector3.t(), number()) :: boolean()
   def contains?(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box, point, epsilon \\ 0) do
     {x, y, z} = inner(box, point)
@@ -140,7 +140,7 @@ defmodule Situ.Box3 do
       z >= az - epsilon and z <= bz + epsilon
   end
 
-  @doc "The nearest point of the box (a point inside is its own)."
+  @doc "Returns the point of the box nearest to `point`; a point inside the box is returned unchanged."
   @spec closest_point(t(), Vector3.t()) :: Vector3.t()
   def closest_point(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box, point) do
     {x, y, z} = inner(box, point)
@@ -148,7 +148,8 @@ defmodule Situ.Box3 do
   end
 
   @doc """
-  Where a ray enters the box (from inside: where it leaves), and through which facet; `nil` where it misses.
+  Returns the point where a ray enters the box and the facet it crosses, or `nil` if it misses. A ray that starts
+  inside the box returns the point where it leaves.
 
       iex> box = Situ.Box3.new!({1.0, -1.0, -1.0}, {3.0, 1.0, 1.0})
       iex> {:ok, ray} = Situ.Ray3.new({0.0, 0.0, 0.0}, {1.0, 0.0, 0.0})
@@ -182,7 +183,8 @@ defmodule Situ.Box3 do
     end
   end
 
-  # Distances along the ray between which it is within one pair of facets. Beside them it always is, or never.
+  # Returns the distances along the ray at which it enters and leaves the slab between two opposite facets. A ray
+  # parallel to the slab is inside it everywhere or nowhere.
   @far 1.0e300
   defp slab(origin, direction, low, high, name) when abs(direction) < 1.0e-15 do
     if origin >= low and origin <= high,
@@ -205,12 +207,12 @@ defmodule Situ.Box3 do
   defp side(:z, :min), do: :z_min
   defp side(:z, :max), do: :z_max
 
-  @doc "The box, given in a pose's own frame, in the frame of the pose."
+  @doc "Transforms the box from the pose's local frame to the frame in which the pose is given."
   @spec transform(t(), Pose.t()) :: t()
   def transform(%__MODULE__{} = box, %Pose{} = pose),
     do: %{box | pose: if(box.pose, do: Pose.compose(pose, box.pose), else: pose)}
 
-  @doc "The box grown around its middle by a factor."
+  @doc "Scales the box around its center."
   @spec scale(t(), number()) :: t()
   def scale(%__MODULE__{} = box, factor) when is_number(factor) and factor >= 0 do
     middle = Vector3.lerp(box.min, box.max, 0.5)

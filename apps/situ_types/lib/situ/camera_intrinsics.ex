@@ -1,9 +1,9 @@
 defmodule Situ.CameraIntrinsics do
   @moduledoc """
-  The optics of a camera: picture size, focal lengths and principal point in pixels, and distortion of the lens.
+  The intrinsics of a camera: image size, focal lengths and principal point in pixels, and lens distortion.
 
-  `radial` holds k1 to k6, `tangential` p0 and p1, of the rational model (Brown-Conrady, as OpenCV and \\psi have it).
-  `Situ.Space.Camera` projects with them.
+  `radial` holds the coefficients k1 to k6 and `tangential` holds p0 and p1 of the rational distortion model
+  (Brown-Conrady, as in OpenCV and \\psi). `Situ.Space.Camera` projects points with these values.
 
       iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {500, 500})
       iex> camera.principal
@@ -39,30 +39,30 @@ defmodule Situ.CameraIntrinsics do
 
   @pair {:tuple, [:number, :number]}
   @schema [
-    width: [type: :pos_integer, required: true, doc: "Pixels in a row."],
-    height: [type: :pos_integer, required: true, doc: "Rows."],
+    width: [type: :pos_integer, required: true, doc: "Image width in pixels."],
+    height: [type: :pos_integer, required: true, doc: "Image height in pixels."],
     focal: [type: @pair, required: true, doc: "Focal lengths in pixels, along x and y."],
     principal: [
       type: {:optional, @pair},
       default: nil,
-      doc: "Principal point in pixels; the middle by default."
+      doc: "Principal point in pixels; the image center by default."
     ],
     radial: [
       type: {:list, :number},
       default: [],
-      doc: "Up to six coefficients k1 to k6; those left out are 0."
+      doc: "Up to six coefficients k1 to k6; missing ones are 0."
     ],
     tangential: [type: @pair, default: {0.0, 0.0}, doc: "Coefficients p0 and p1."],
     distorts?: [
       type: :boolean,
       default: true,
       doc:
-        "Whether the closed form distorts (undistorted to distorted), as with OpenCV; some devices give the inverse."
+        "Whether the closed form maps undistorted to distorted coordinates, as in OpenCV; some devices invert it."
     ]
   ]
 
   @doc """
-  Checked intrinsics.
+  Builds validated intrinsics.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -92,26 +92,26 @@ defmodule Situ.CameraIntrinsics do
     end
   end
 
-  @doc "As `new/1`, but returns the intrinsics or raises the error."
+  @doc "Like `new/1`, but returns the intrinsics or raises the error."
   @spec new!(keyword()) :: t()
   def new!(opts), do: Error.unwrap!(new(opts))
 
   defp check(%{focal: {fx, fy}}) when fx <= 0 or fy <= 0 do
     {:error,
-     Error.new(:bad_camera, "a camera cannot have the focal lengths #{fx} and #{fy}",
-       why: "both are positive numbers of pixels"
+     Error.new(:bad_camera, "invalid focal lengths #{fx} and #{fy}",
+       why: "both must be positive numbers of pixels"
      )}
   end
 
   defp check(%{radial: radial}) when length(radial) > 6,
     do:
-      {:error, Error.new(:bad_camera, "#{length(radial)} radial coefficients; the model has six")}
+      {:error, Error.new(:bad_camera, "#{length(radial)} radial coefficients, the model has six")}
 
   defp check(_opts), do: :ok
 
   @doc """
-  The optics of a picture resized to so many pixels: focal lengths and principal point grow with it, the lens distorts
-  as before.
+  Returns the intrinsics for an image resized to `width` x `height`. Focal lengths and principal point are scaled;
+  distortion is unchanged.
 
       iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {500, 500})
       iex> half = Situ.CameraIntrinsics.resize(camera, 320, 240)
@@ -133,7 +133,8 @@ defmodule Situ.CameraIntrinsics do
   end
 
   @doc """
-  The optics of a part of the picture: its top left corner, its width and height, in pixels.
+  Returns the intrinsics for a cropped image. The tuple holds left edge, top edge, width and height of the crop in
+  pixels.
 
       iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {500, 500})
       iex> part = Situ.CameraIntrinsics.crop(camera, {100, 40, 200, 100})
@@ -178,7 +179,7 @@ defmodule Situ.CameraIntrinsics do
         )
 
       _not_finite ->
-        {:error, Error.new(:bad_camera, "stored intrinsics that are not finite numbers")}
+        {:error, Error.new(:bad_camera, "stored intrinsics contain a number that is not finite")}
     end
   end
 

@@ -1,7 +1,7 @@
 defmodule Situ.CameraView do
   @moduledoc """
-  One view of a camera: a picture (`Situ.Image`, `Situ.EncodedImage`, `Situ.DepthImage`) or a point cloud, the
-  camera's intrinsics, and its pose.
+  One camera view: an image (`Situ.Image`, `Situ.EncodedImage`, `Situ.DepthImage`) or a point cloud, the
+  intrinsics of the camera, and its pose.
   """
   alias Situ.{CameraIntrinsics, Pose}
 
@@ -11,14 +11,14 @@ defmodule Situ.CameraView do
   @type t :: t(Situ.Image.t() | Situ.EncodedImage.t() | Situ.DepthImage.t() | Situ.PointCloud.t())
   @type t(viewed) :: %__MODULE__{viewed: viewed, intrinsics: CameraIntrinsics.t(), pose: Pose.t()}
 
-  @doc "The view of a camera with these intrinsics at this pose."
+  @doc "Builds the view of a camera with these intrinsics at this pose."
   @spec new(viewed, CameraIntrinsics.t(), Pose.t()) :: t(viewed) when viewed: term()
   def new(viewed, %CameraIntrinsics{} = intrinsics, %Pose{} = pose),
     do: %__MODULE__{viewed: viewed, intrinsics: intrinsics, pose: pose}
 
   @doc """
-  The same view of something else that the camera saw: its picture encoded, converted, or turned to a cloud.
-  `Situ.Space.View` changes a picture's size, and the intrinsics with it.
+  Replaces the viewed data with the result of `fun`, for example to encode the image, convert it or turn it into a
+  cloud. To change the image size, use `Situ.Space.View`, which also adjusts the intrinsics.
   """
   @spec map(t(viewed), (viewed -> {:ok, other} | {:error, error})) ::
           {:ok, t(other)} | {:error, error}

@@ -1,19 +1,19 @@
 defmodule Situ.Certificate do
   @moduledoc """
-  A certificate of one's own, for a server that nobody has given one: a browser asks once whether to trust it, and the
-  client of a link knows it by its fingerprint.
+  Creates self-issued TLS certificates for servers that were not given one. Browsers ask once whether to trust such a
+  certificate; link clients recognize it by its fingerprint.
 
       {:ok, tls} = Situ.Certificate.ensure("/home/ann/.config/situ/tls", ["lab1", "192.168.1.7"])
       :ssl.listen(443, tls)
 
-  A program that is to trust the server takes `authority.pem` of the same folder as its authority. The key never leaves
-  the folder and is readable for its owner alone. A certificate that names all these hosts and is
-  valid for another week is used again, so that a browser's exception stays good.
+  To trust the server, a program loads `authority.pem` from the same folder as a certificate authority. The key never
+  leaves the folder, and only its owner can read it. An existing certificate is reused if it names all of these hosts
+  and is valid for at least another week, so that browser exceptions remain valid.
   """
   alias Situ.Error
   require Record
 
-  # Of public_key.hrl, which systems without Erlang's header files lack.
+  # These records come from public_key.hrl, which systems without Erlang's header files lack.
   Record.defrecordp(:extension, :Extension, extnID: nil, critical: :asn1_DEFAULT, extnValue: nil)
 
   Record.defrecordp(:certificate, :OTPCertificate, [
@@ -35,8 +35,8 @@ defmodule Situ.Certificate do
   @renew_days 7
 
   @doc """
-  As `ensure/2`, for a server on this machine: in the user's configuration folder, for the names of the machine and the
-  address that it listens on (all of them for `0.0.0.0` and `::`).
+  Like `ensure/2`, for a server on this machine. The folder is in the user's configuration folder. The certificate
+  names the machine and the address that the server listens on (all addresses for `0.0.0.0` and `::`).
   """
   @spec own(:inet.ip_address()) :: {:ok, keyword()} | {:error, Error.t()}
   def own(ip) do
@@ -53,7 +53,7 @@ defmodule Situ.Certificate do
     ensure(folder, Enum.uniq(hosts))
   end
 
-  @doc "The SHA-256 of the first certificate of a PEM file, as 64 hexadecimal digits."
+  @doc "Returns the SHA-256 fingerprint of the first certificate in a PEM file, as 64 hexadecimal digits."
   @spec fingerprint(Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
   def fingerprint(certfile) do
     with {:ok, text} <- File.read(certfile),
@@ -62,14 +62,14 @@ defmodule Situ.Certificate do
     else
       _ ->
         {:error,
-         Error.new(:bad_certificate, "there is no certificate in #{certfile}",
-           fix: "name a PEM file that begins with the server's certificate"
+         Error.new(:bad_certificate, "cannot find a certificate in #{certfile}",
+           fix: "give a PEM file that begins with the server's certificate"
          )}
     end
   end
 
   @doc """
-  The fingerprint of a certificate in DER.
+  Returns the fingerprint of a DER-encoded certificate.
 
       iex> Situ.Certificate.fingerprint_of("abc")
       "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
@@ -77,7 +77,7 @@ defmodule Situ.Certificate do
   @spec fingerprint_of(binary()) :: String.t()
   def fingerprint_of(der), do: :sha256 |> :crypto.hash(der) |> Base.encode16(case: :lower)
 
-  @doc "The options of `:tls` for a certificate in `folder` that names these hosts (names or addresses)."
+  @doc "Ensures that `folder` has a certificate for these hosts (names or addresses) and returns options for `:tls`."
   @spec ensure(Path.t(), [String.t(), ...]) :: {:ok, keyword()} | {:error, Error.t()}
   def ensure(folder, hosts) do
     tls = [certfile: Path.join(folder, "certificate.pem"), keyfile: Path.join(folder, "key.pem")]
@@ -89,7 +89,7 @@ defmodule Situ.Certificate do
 
     with :ok <- File.mkdir_p(folder),
          :ok <- File.chmod(folder, 0o700),
-         # The file is closed to others before the key is in it.
+         # The file must be private before the key is written to it.
          :ok <- File.write(tls[:keyfile], ""),
          :ok <- File.chmod(tls[:keyfile], 0o600),
          :ok <- File.write(tls[:keyfile], issued.key),
@@ -101,16 +101,18 @@ defmodule Situ.Certificate do
         {:error,
          Error.new(
            :cannot_write,
-           "cannot keep a certificate in #{folder}: #{:file.format_error(reason)}",
-           fix: "make the folder writable, or bring a certificate of your own"
+           "cannot write a certificate to #{folder}: #{:file.format_error(reason)}",
+           fix: "make the folder writable, or provide your own certificate"
          )}
     end
   end
 
   @doc """
-  A certificate, its key, and the authority that signed it, all as PEM. The authority signs this one certificate; nobody
-  keeps its key. Options: `hosts:` that it names (names or addresses), and `days:` that it lasts (#{@days}); from
-  yesterday on, since the clocks of other machines may be behind.
+  Issues a certificate and returns it, its key and the authority that signed it as PEM. The authority signs only this
+  certificate; its key is discarded.
+
+  Options: `hosts:` (names or addresses in the certificate) and `days:` (validity, default #{@days}). Validity starts
+  yesterday because the clocks of other machines may be slow.
 
       iex> issued = Situ.Certificate.issue("a lab", hosts: ["lab1"])
       iex> [{:Certificate, der, :not_encrypted}] = :public_key.pem_decode(issued.certificate)
@@ -148,7 +150,7 @@ defmodule Situ.Certificate do
     [extension(extnID: @subject_alternative_name, extnValue: names)]
   end
 
-  # Erlang names its certificates for tests ("automated testing").
+  # Erlang's test certificates have a fixed subject ("automated testing").
   defp rename(der, subject, issuer, key) do
     certificate(tbsCertificate: tbs) = :public_key.pkix_decode_cert(der, :otp)
     {:rdnSequence, sequence} = tbs(tbs, :subject)
@@ -190,7 +192,8 @@ defmodule Situ.Certificate do
     _ -> :error
   end
 
-  # One that is damaged, or that this version of Erlang does not read, is made again.
+  # A certificate that cannot be decoded is issued again: it may be damaged, or this version of Erlang may not support
+  # it.
   defp decode(der) do
     certificate(tbsCertificate: tbs) = :public_key.pkix_decode_cert(der, :otp)
     {:ok, tbs}

@@ -1,32 +1,32 @@
 defmodule Situ.Codec do
   @moduledoc """
-  How a struct is laid out as bytes, for stores and wires.
+  Encodes structs as bytes for stores and network protocols.
 
-  A module that defines a struct implements this behaviour when Erlang's external term format would be a poor fit
-  (images, audio: a small header and raw samples that are read back as a sub-binary, without a copy). Everything
-  else needs nothing: it is stored as an external term.
+  A module that defines a struct implements this behaviour if Erlang's external term format is a poor fit. Images and
+  audio, for example, have a small header and raw samples, which are read back as a sub-binary without a copy. All
+  other data is stored in the external term format and needs no codec.
 
-  `decode/1` meets untrusted bytes: it checks every length and answers `{:error, reason}`, never raises, and makes no
-  atoms from what it reads.
+  `decode/1` receives untrusted bytes. It must check every length, return `{:error, reason}` instead of raising, and
+  never create atoms from its input.
   """
 
-  @typedoc "A span of numeric samples folded together: its time, extremes, last value and how many there were."
+  @typedoc "A summary of consecutive samples: start time, minimum, maximum, last value and sample count."
   @type point ::
           {Situ.Time.t(), min :: number(), max :: number(), last :: number(),
            count :: pos_integer()}
 
-  @doc "A short, stable name written into files (`\"situ.image\"`)."
+  @doc "Returns a short, stable name that is written to files (`\"situ.image\"`)."
   @callback codec_name() :: String.t()
 
-  @doc "Header and payload. Large binaries should stay whole elements of the list, so that nothing is copied."
+  @doc "Returns header and payload. Large binaries should be separate list elements so that they are not copied."
   @callback encode(struct()) :: iodata()
 
-  @doc "The struct from its bytes; large payloads are sub-binaries of `bytes`."
+  @doc "Decodes a struct from `bytes`; large payloads are sub-binaries of `bytes`."
   @callback decode(bytes :: binary()) :: {:ok, struct()} | {:error, term()}
 
   @doc """
-  The numeric signal inside one message, in time order, for min/max/last/count pyramids (audio waveforms). Times are
-  absolute nanoseconds; a point may stand for many samples.
+  Returns the numeric signal in one message, in time order, for summary pyramids (audio waveforms). Times are absolute
+  nanoseconds; a point may summarize many samples.
   """
   @callback points(struct(), originating_time :: Situ.Time.t()) :: [point()]
 

@@ -1,9 +1,10 @@
 defmodule Situ.DepthImage do
   @moduledoc """
-  A picture of distances: 16 bits a pixel, little-endian, each times `scale` metres. 0 means not known.
+  An image of distances, with 16 bits per pixel, little-endian. Each value times `scale` is a distance in metres; 0
+  means unknown.
 
-  `semantics` says what was measured: `:plane`, the distance to the plane through the camera (the usual z), or `:point`,
-  the length of the ray.
+  `semantics` defines the measured distance: `:plane` is the distance to the plane through the camera (the usual z),
+  and `:point` is the length of the ray.
 
       iex> {:ok, depth} = Situ.DepthImage.new(width: 2, height: 1, data: <<500::little-16, 1500::little-16>>)
       iex> depth
@@ -29,8 +30,8 @@ defmodule Situ.DepthImage do
   @type result :: {:ok, t()} | {:error, Error.t()}
 
   @schema [
-    width: [type: :pos_integer, required: true, doc: "Pixels in a row."],
-    height: [type: :pos_integer, required: true, doc: "Rows."],
+    width: [type: :pos_integer, required: true, doc: "Width in pixels."],
+    height: [type: :pos_integer, required: true, doc: "Height in pixels."],
     stride: [type: {:optional, :pos_integer}, default: nil, doc: "Bytes from row to row."],
     data: [type: :string, required: true, doc: "16-bit little-endian values."],
     semantics: [
@@ -38,11 +39,11 @@ defmodule Situ.DepthImage do
       default: :plane,
       doc: "`:plane`: distance to the plane through the camera (z); `:point`: length of the ray."
     ],
-    scale: [type: :number, default: 0.001, doc: "Metres for a value of 1."]
+    scale: [type: :number, default: 0.001, doc: "Metres per unit."]
   ]
 
   @doc """
-  A checked depth image; nothing is copied.
+  Builds a validated depth image without copying `data`.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -61,11 +62,11 @@ defmodule Situ.DepthImage do
     end
   end
 
-  @doc "As `new/1`, but returns the image or raises the error."
+  @doc "Like `new/1`, but returns the image or raises the error."
   @spec new!(keyword()) :: t()
   def new!(opts), do: Situ.Error.unwrap!(new(opts))
 
-  @doc "Checks a struct built by hand."
+  @doc "Validates a struct that was built by hand."
   @spec validate(t()) :: result()
   def validate(%__MODULE__{semantics: semantics, scale: scale} = depth) do
     cond do
@@ -73,20 +74,20 @@ defmodule Situ.DepthImage do
         {:error, Error.new(:bad_image, "unknown depth semantics #{inspect(semantics)}")}
 
       not (is_float(scale) and scale > 0) ->
-        {:error, Error.new(:bad_image, "a depth scale of #{inspect(scale)} m is impossible")}
+        {:error, Error.new(:bad_image, "depth scale #{inspect(scale)} is not a positive float")}
 
       true ->
         with {:ok, _} <- Image.validate(to_gray16(depth)), do: {:ok, depth}
     end
   end
 
-  @doc "The same memory as a `:gray16` picture."
+  @doc "Returns a `:gray16` image that shares the memory of the depth image."
   @spec to_gray16(t()) :: Image.t()
   def to_gray16(%__MODULE__{} = d) do
     %Image{width: d.width, height: d.height, stride: d.stride, format: :gray16, data: d.data}
   end
 
-  @doc "A `:gray16` picture read as depth; no copy."
+  @doc "Interprets a `:gray16` image as a depth image without copying it."
   @spec from_gray16(Image.t(), keyword()) :: result()
   def from_gray16(image, opts \\ [])
 
@@ -98,12 +99,12 @@ defmodule Situ.DepthImage do
   end
 
   def from_gray16(%Image{} = image, _opts) do
-    {:error, Error.new(:bad_format, "depth is :gray16, this is #{Image.describe(image)}")}
+    {:error, Error.new(:bad_format, "expected a :gray16 image, got #{Image.describe(image)}")}
   end
 
   @doc """
-  The depth image that a function on pictures makes of this one: crop, resize, flip, rotate ... Interpolating
-  across unknown values (0) mixes them in, so resize with `filter: :nearest`.
+  Applies an image function (crop, resize, flip, rotate ...) to the depth values and returns the result as a depth
+  image. Interpolation would mix unknown values (0) into their neighbours, so resize with `filter: :nearest`.
 
       iex> depth = Situ.DepthImage.new!(width: 2, height: 1, data: <<1, 0, 2, 0>>, scale: 0.01)
       iex> {:ok, part} = Situ.DepthImage.through(depth, &Situ.Image.put_pixel(&1, 0, 0, 9))
@@ -117,7 +118,7 @@ defmodule Situ.DepthImage do
          do: from_gray16(image, semantics: depth.semantics, scale: depth.scale)
   end
 
-  @doc "Distance in metres at a pixel; `{:ok, nil}` where it is not known (0)."
+  @doc "Returns the distance in metres at a pixel, or `{:ok, nil}` if it is unknown (0)."
   @spec fetch_distance(t(), integer(), integer()) :: {:ok, float() | nil} | {:error, Error.t()}
   def fetch_distance(%__MODULE__{} = depth, x, y) do
     case Image.fetch_pixel(to_gray16(depth), x, y) do
@@ -128,9 +129,9 @@ defmodule Situ.DepthImage do
   end
 
   @doc """
-  The distance in metres at a pixel, made up from its neighbours where it is not known (`invalid:`, default 0): the
-  nearest known values to the left, right, above and below, each weighted by one over how far away it is. `{:ok, nil}`
-  when there is none in any direction.
+  Returns the distance in metres at a pixel. If it is unknown (`invalid:`, default 0), the distance is interpolated
+  from the nearest known values to the left, right, above and below, weighted by inverse distance. Returns
+  `{:ok, nil}` if all values in these directions are unknown.
 
       iex> depth = Situ.DepthImage.new!(width: 4, height: 1, data: <<100, 0, 0, 0, 0, 0, 160, 0>>, scale: 0.01)
       iex> {:ok, metres} = Situ.DepthImage.interpolated_distance(depth, 1, 0)

@@ -1,8 +1,8 @@
 defmodule Situ.EncodedImage do
   @moduledoc """
-  A compressed picture as it is in a file: JPEG or PNG bytes, with the size read from them.
+  A compressed image: the bytes of a JPEG or PNG file, and its size.
 
-  `width` and `height` are what the bytes say, or 0 when nobody looked.
+  `width` and `height` hold the size stored in the bytes, or 0 if it has not been read.
 
       iex> {:ok, encoded} = Situ.EncodedImage.new(format: :jpeg, width: 640, height: 480, data: "...")
       iex> encoded
@@ -24,14 +24,14 @@ defmodule Situ.EncodedImage do
         }
 
   @schema [
-    format: [type: {:in, [:jpeg, :png]}, required: true, doc: "How it is compressed."],
-    width: [type: {:integer, 0, 0xFFFFFFFF}, default: 0, doc: "Pixels in a row, 0: not known."],
-    height: [type: {:integer, 0, 0xFFFFFFFF}, default: 0, doc: "Rows, 0: not known."],
-    data: [type: :string, required: true, doc: "The file's bytes."]
+    format: [type: {:in, [:jpeg, :png]}, required: true, doc: "Compression format."],
+    width: [type: {:integer, 0, 0xFFFFFFFF}, default: 0, doc: "Width in pixels; 0 if unknown."],
+    height: [type: {:integer, 0, 0xFFFFFFFF}, default: 0, doc: "Height in pixels; 0 if unknown."],
+    data: [type: :string, required: true, doc: "The bytes of the file."]
   ]
 
   @doc """
-  An encoded picture around `data`; the bytes are not looked at.
+  Builds an encoded image from `data` without inspecting the bytes.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -42,7 +42,7 @@ defmodule Situ.EncodedImage do
   end
 
   @doc """
-  The format by the first bytes.
+  Detects the format from the first bytes.
 
       iex> Situ.EncodedImage.sniff(<<0xFF, 0xD8, 0xFF, 0>>)
       {:ok, :jpeg}
@@ -57,7 +57,7 @@ defmodule Situ.EncodedImage do
   def sniff(_) do
     {:error,
      Error.new(:unknown_image_format, "these bytes are neither JPEG nor PNG",
-       fix: "convert the file first, for example with ffmpeg"
+       fix: "convert the file to JPEG or PNG first, for example with ffmpeg"
      )}
   end
 

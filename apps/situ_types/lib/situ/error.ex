@@ -1,9 +1,9 @@
 defmodule Situ.Error do
   @moduledoc """
-  The one error type that crosses app boundaries.
+  The error type that all apps use across their boundaries.
 
-  `code` is for programs (match on it); `what`, `why` and `fix` are sentences for people; `meta` holds the
-  facts behind them (component path, input, times, a stacktrace).
+  `code` is for programs to match on. `what`, `why` and `fix` are sentences for people. `meta` holds further facts,
+  such as component path, input, times or a stacktrace.
 
       iex> error = %Situ.Error{code: :no_store, what: "no store at \\"x\\"", fix: "check the path"}
       iex> Exception.message(error)
@@ -33,7 +33,7 @@ defmodule Situ.Error do
   end
 
   @doc """
-  The value of `{:ok, value}`; raises the error of `{:error, error}`. Functions that end in `!` are built on it.
+  Returns the value of `{:ok, value}` or raises the error of `{:error, error}`. Functions that end in `!` use it.
 
       iex> Situ.Error.unwrap!({:ok, 1})
       1
@@ -46,8 +46,8 @@ defmodule Situ.Error do
   def unwrap!({:error, error}), do: raise(error)
 
   @doc """
-  The values that `fun` makes of the items, in order; the first answer that is no `{:ok, value}` ends it and is the
-  result.
+  Maps items with `fun`, which returns `{:ok, value}`, and returns the values in order. Any other result of `fun`
+  stops the iteration and is returned.
 
       iex> Situ.Error.map(["1", "2"], fn text -> {:ok, String.to_integer(text)} end)
       {:ok, [1, 2]}

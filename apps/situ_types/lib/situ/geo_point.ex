@@ -1,15 +1,15 @@
 defmodule Situ.GeoPoint do
   @moduledoc """
-  A place on the Earth (WGS84), as receivers of GPS tell it: latitude -90..90 and longitude -180..180 in degrees, the
-  height above the ellipsoid in metres where it is known, and how far it may be off (a standard deviation), in metres:
-  one number over ground, or `{east, north, up}`.
+  A position on the Earth (WGS84), as reported by GPS receivers. Latitude (-90..90) and longitude (-180..180) are in
+  degrees, and the optional height above the ellipsoid is in metres. The optional accuracy is a standard deviation in
+  metres: one horizontal value, or `{east, north, up}`.
 
       iex> {:ok, here} = Situ.GeoPoint.new(46.0514, 14.5060, accuracy: 4.5)
       iex> {here.latitude, here.height, here.accuracy}
       {46.0514, nil, 4.5}
       iex> {:error, error} = Situ.GeoPoint.new(91, 14.5)
       iex> error.what
-      "there is no latitude of 91 degrees"
+      "invalid latitude 91: it must be between -90 and 90 degrees"
   """
   alias Situ.{Error, Vector3}
 
@@ -23,19 +23,22 @@ defmodule Situ.GeoPoint do
           accuracy: float() | Vector3.t() | nil
         }
 
-  @doc "A place. Options: `height:` and `accuracy:`, metres. Errors: `:bad_place`."
+  @doc "Builds a position. Options: `height:` and `accuracy:`, in metres. Error: `:bad_place`."
   @spec new(term(), term(), height: number() | nil, accuracy: number() | Vector3.t() | nil) ::
           {:ok, t()} | {:error, Error.t()}
   def new(latitude, longitude, opts \\ []) do
     cond do
       not (is_number(latitude) and is_number(longitude)) ->
-        bad("a place on the Earth is two numbers, not #{inspect({latitude, longitude})}")
+        bad("latitude and longitude must be numbers, got: #{inspect({latitude, longitude})}")
 
       abs(latitude) > 90 ->
-        bad("there is no latitude of #{latitude} degrees", "latitude comes first, then longitude")
+        bad(
+          "invalid latitude #{latitude}: it must be between -90 and 90 degrees",
+          "pass latitude first, then longitude"
+        )
 
       abs(longitude) > 360 ->
-        bad("there is no longitude of #{longitude} degrees")
+        bad("invalid longitude #{longitude}: it must be between -360 and 360 degrees")
 
       true ->
         {:ok,
@@ -62,7 +65,7 @@ defmodule Situ.GeoPoint do
   defp accuracy_of(accuracy), do: metres(accuracy)
 
   @doc """
-  How far the place may be off over ground, in metres: the larger of east and north; `nil` where nobody says.
+  Returns the horizontal accuracy in metres, the larger of east and north, or `nil` if it is unknown.
 
       iex> {:ok, place} = Situ.GeoPoint.new(46.0, 14.5, accuracy: {1.0, 2.0, 5.0})
       iex> Situ.GeoPoint.radius(place)
@@ -81,8 +84,8 @@ defmodule Situ.GeoPoint do
   @accuracies ["accuracy", "horizontal_accuracy", "hacc"]
 
   @doc """
-  The place that a message tells: a `Situ.GeoPoint`, or a map with latitude and longitude under the names that programs
-  give them (`lat`, `lon`, ...; a ROS `NavSatFix`, whose covariance gives the accuracy). `:error` where there is none.
+  Reads a position from message data. Accepts a `Situ.GeoPoint`, a map with common names for latitude and longitude
+  (`lat`, `lon`, ...), or a ROS `NavSatFix`, whose covariance gives the accuracy. Returns `:error` for other data.
 
       iex> {:ok, place} = Situ.GeoPoint.of(%{"lat" => 46.0, "lng" => 14.5, "altitude" => 300})
       iex> {place.longitude, place.height}
@@ -124,7 +127,7 @@ defmodule Situ.GeoPoint do
 
   defp first(map, names), do: Enum.find_value(names, &map[&1])
 
-  # The larger of east and north, one standard deviation.
+  # Uses the larger of the east and north standard deviations.
   defp accuracy(%{"position_covariance" => [east, _, _, _, north | _]})
        when is_number(east) and is_number(north) and (east > 0 or north > 0),
        do: :math.sqrt(max(east, north))

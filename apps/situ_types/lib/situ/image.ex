@@ -1,20 +1,20 @@
 defmodule Situ.Image do
   @moduledoc """
-  A picture in memory: a binary of pixels with its shape beside it.
+  An uncompressed image: a binary of pixels with its size and format.
 
-  Rows go from top to bottom, each `stride` bytes after the one before; within a row the pixels follow each other
-  without gaps. `stride` may be larger than a row needs (foreign buffers, crops without a copy) and may be odd; pictures
-  made by Situ have none to spare. 16-bit channels are little-endian.
+  Rows are stored from top to bottom, and each row starts `stride` bytes after the previous one. Pixels within a row
+  are contiguous. `stride` may be larger than a row needs (external buffers, crops without a copy) and may be odd;
+  images created by Situ have no padding. 16-bit channels are little-endian.
 
   | format | bytes a pixel | channels in memory order |
   |---|---|---|
   | `:gray8` | 1 | grey |
   | `:gray16` | 2 | grey, 16 bit |
-  | `:bgr24` | 3 | blue, green, red (what cameras, OpenCV and video files give) |
+  | `:bgr24` | 3 | blue, green, red (used by cameras, OpenCV and video files) |
   | `:rgb24` | 3 | red, green, blue |
   | `:bgrx32` | 4 | blue, green, red, unused |
   | `:bgra32` | 4 | blue, green, red, alpha |
-  | `:rgba32` | 4 | red, green, blue, alpha (what browsers give) |
+  | `:rgba32` | 4 | red, green, blue, alpha (used by browsers) |
   | `:rgba64` | 8 | red, green, blue, alpha, 16 bit each |
 
       iex> {:ok, image} = Situ.Image.new(width: 2, height: 1, format: :bgr24, data: <<255, 0, 0, 0, 0, 255>>)
@@ -23,7 +23,7 @@ defmodule Situ.Image do
       iex> Situ.Image.fetch_pixel(image, 1, 0)
       {:ok, [0, 0, 255]}
 
-  Structs built by hand are checked again by every operator, in Rust.
+  Every operator validates its images again in Rust, including structs built by hand.
   """
   @behaviour Situ.Codec
 
@@ -42,23 +42,23 @@ defmodule Situ.Image do
         }
   @type result :: {:ok, t()} | {:error, Error.t()}
 
-  # 1 GiB: beyond any camera, and small enough that a picture never takes the machine down.
+  # 1 GiB is more than any camera needs, and small enough that one image cannot exhaust the machine's memory.
   @max_bytes 1_073_741_824
 
   @schema [
-    width: [type: :pos_integer, required: true, doc: "Pixels in a row."],
-    height: [type: :pos_integer, required: true, doc: "Rows."],
+    width: [type: :pos_integer, required: true, doc: "Width in pixels."],
+    height: [type: :pos_integer, required: true, doc: "Height in pixels."],
     format: [type: {:in, Format.all()}, required: true, doc: "The pixel format."],
     stride: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "Bytes from one row to the next; `nil`: no gap."
+      doc: "Bytes from one row to the next; `nil` means no padding."
     ],
-    data: [type: :string, required: true, doc: "The pixels, `stride * height` bytes or more."]
+    data: [type: :string, required: true, doc: "The pixels, at least `stride * height` bytes."]
   ]
 
   @doc """
-  A checked picture around `data`; nothing is copied.
+  Builds a validated image without copying `data`.
 
   #{Situ.Options.docs(@schema)}
 
@@ -77,12 +77,13 @@ defmodule Situ.Image do
     end
   end
 
-  @doc "As `new/1`, but returns the picture or raises the error."
+  @doc "Like `new/1`, but returns the image or raises the error."
   @spec new!(keyword()) :: t()
   def new!(opts), do: Situ.Error.unwrap!(new(opts))
 
   @doc """
-  A picture of one colour (`Situ.Image.Color`: channel values in memory order, one for all, a name, `{r, g, b}`).
+  Builds an image of one colour (`Situ.Image.Color`: channel values in memory order, one value for all channels, a
+  name, or `{r, g, b}`).
 
       iex> Situ.Image.filled(2, 1, :bgr24, [1, 2, 3]).data
       <<1, 2, 3, 1, 2, 3>>
@@ -108,12 +109,13 @@ defmodule Situ.Image do
     )
   end
 
-  @doc "The most bytes one picture may take."
+  @doc "Returns the maximum size of an image in bytes."
   @spec max_bytes() :: pos_integer()
   def max_bytes, do: @max_bytes
 
   @doc """
-  Checks a struct: sizes positive, stride wide enough, data long enough, not over `max_bytes/0`.
+  Validates a struct: the size must be positive, the stride wide enough, the data long enough, and the total size at
+  most `max_bytes/0`.
   """
   @spec validate(t()) :: result()
   def validate(%__MODULE__{} = image) do
@@ -121,7 +123,7 @@ defmodule Situ.Image do
 
     cond do
       not (is_integer(width) and is_integer(height) and width > 0 and height > 0) ->
-        bad("a picture cannot be #{inspect(width)}x#{inspect(height)}")
+        bad("invalid image size #{inspect(width)}x#{inspect(height)}")
 
       format not in Format.all() ->
         bad("unknown pixel format #{inspect(format)}")
@@ -143,17 +145,17 @@ defmodule Situ.Image do
     end
   end
 
-  @doc "Bytes of one row without padding."
+  @doc "Returns the number of bytes in one row without padding."
   @spec row_bytes(t()) :: pos_integer()
   def row_bytes(%__MODULE__{} = image), do: image.width * Format.bytes_per_pixel(image.format)
 
-  @doc "Whether the rows follow each other without gaps and nothing follows the last."
+  @doc "Returns whether the data has no padding between rows and no bytes after the last row."
   @spec tight?(t()) :: boolean()
   def tight?(%__MODULE__{} = image),
     do: image.stride == row_bytes(image) and byte_size(image.data) == image.stride * image.height
 
   @doc """
-  The pixels without padding, as one binary; not copied when the picture has none.
+  Returns the pixels without padding as one binary. An image without padding is not copied.
 
       iex> image = Situ.Image.new!(width: 1, height: 2, format: :gray8, stride: 4, data: <<1, 0, 0, 0, 2>>)
       iex> Situ.Image.pixels(image)
@@ -173,7 +175,7 @@ defmodule Situ.Image do
   end
 
   @doc """
-  The channel values at column `x`, row `y`, in memory order.
+  Returns the channel values at column `x`, row `y`, in memory order.
 
       iex> Situ.Image.fetch_pixel(Situ.Image.filled(2, 2, :gray8, 7), 2, 0) |> elem(1) |> Map.fetch!(:code)
       :bad_point
@@ -186,11 +188,12 @@ defmodule Situ.Image do
   end
 
   def fetch_pixel(%__MODULE__{} = image, x, y) do
-    {:error, Error.new(:bad_point, "there is no pixel {#{x}, #{y}} in #{describe(image)}")}
+    {:error, Error.new(:bad_point, "pixel {#{x}, #{y}} is outside #{describe(image)}")}
   end
 
   @doc """
-  A copy with one pixel changed. Copies the whole picture: for drawing many, use the drawing operators.
+  Returns a copy with one pixel changed. It copies the complete image, so use the drawing operators to draw many
+  pixels.
 
       iex> Situ.Image.filled(2, 1, :gray8) |> Situ.Image.put_pixel(1, 0, [9]) |> elem(1) |> Situ.Image.pixels()
       <<0, 9>>
@@ -207,12 +210,12 @@ defmodule Situ.Image do
     end
   end
 
-  @doc "Size and format for people: `640x480 :bgr24`."
+  @doc "Formats size and pixel format for people: `640x480 :bgr24`."
   @spec describe(t()) :: String.t()
   def describe(%__MODULE__{} = image),
     do: "#{image.width}x#{image.height} #{inspect(image.format)}"
 
-  # 64 bytes, so that pixels stored after it keep the alignment of the record.
+  # The header has 64 bytes so that the pixels after it keep the alignment of the record.
   @header_bytes 64
 
   @impl Situ.Codec
@@ -243,7 +246,7 @@ defmodule Situ.Image do
     end
   end
 
-  def decode(_), do: bad("not a stored picture")
+  def decode(_), do: bad("not a stored image")
 
   defp needed(image), do: image.stride * (image.height - 1) + row_bytes(image)
   defp bad(what), do: {:error, Error.new(:bad_image, what)}

@@ -1,9 +1,9 @@
 defmodule Situ.ImuReading do
   @moduledoc """
-  One reading of an inertial sensor, in its own axes (x forward, y left, z up): the specific force (m/s2; at rest +9.81
-  along what is up), the rate of turning (rad/s, right-handed) and, where there is a magnetometer, the field (any unit).
-  A sensor that works out by itself how it is turned has an `orientation`: the rotation that takes its axes to those of
-  the world.
+  One reading of an inertial sensor, in the sensor's axes (x forward, y left, z up). It holds the specific force
+  (m/s2; +9.81 upwards at rest), the angular velocity (rad/s, right-handed) and, if there is a magnetometer, the
+  magnetic field (any unit). For sensors that estimate their own orientation, `orientation` is the rotation from
+  sensor axes to world axes.
 
       iex> Situ.ImuReading.new({0.0, 0.0, 9.81}, {0.0, 0.0, 0.1}).magnetic_field
       nil
@@ -20,7 +20,7 @@ defmodule Situ.ImuReading do
           orientation: Quaternion.t() | nil
         }
 
-  @doc "A reading."
+  @doc "Builds a reading."
   @spec new(Vector3.t(), Vector3.t(), Vector3.t() | nil) :: t()
   def new({_, _, _} = acceleration, {_, _, _} = angular_velocity, magnetic_field \\ nil) do
     %__MODULE__{

@@ -1,7 +1,7 @@
 defmodule Situ.JointState do
   @moduledoc """
-  Where the joints of a robot are: their names and, in the same order, positions (radians, or metres for sliding ones),
-  velocities (rad/s, m/s) and efforts (N m, N). A list is empty where nobody says.
+  The state of a robot's joints: their names and, in the same order, positions (radians, or metres for sliding
+  joints), velocities (rad/s, m/s) and efforts (N m, N). A list is empty if its values are unknown.
 
       iex> {:ok, arm} = Situ.JointState.new(["shoulder", "elbow"], [0.1, 1.2])
       iex> Situ.JointState.position(arm, "elbow")
@@ -22,7 +22,7 @@ defmodule Situ.JointState do
           efforts: [Number.t()]
         }
 
-  @doc "A checked state: each list is empty or as long as the names. Error: `:bad_joints`."
+  @doc "Builds a validated state. Each list must be empty or as long as `names`. Error: `:bad_joints`."
   @spec new([String.t()], [Number.t()], [Number.t()], [Number.t()]) ::
           {:ok, t()} | {:error, Error.t()}
   def new(names, positions \\ [], velocities \\ [], efforts \\ [])
@@ -38,7 +38,7 @@ defmodule Situ.JointState do
     end
   end
 
-  @doc "The position of a joint; `nil` for one that is not there, or whose position nobody says."
+  @doc "Returns the position of a joint, or `nil` if the joint or its position is unknown."
   @spec position(t(), String.t()) :: Number.t() | nil
   def position(%__MODULE__{names: names, positions: positions}, name) do
     case Enum.find_index(names, &(&1 == name)) do

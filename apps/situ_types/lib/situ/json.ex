@@ -1,9 +1,9 @@
 defmodule Situ.JSON do
   @moduledoc """
-  JSON: jiffy, or Erlang's own `:json` where it has one (OTP 27 and up).
+  Encodes and decodes JSON with Erlang's `:json` module (OTP 27 and later) or, without it, with jiffy.
 
-  `nil` is `null`, objects are maps with string keys, and nothing read makes an atom. Text that is not UTF-8 is mended
-  on the way out (U+FFFD replaces bytes that are not UTF-8) and refused on the way in.
+  `nil` is `null`, objects are maps with string keys, and decoding never creates atoms. When encoding, bytes that are
+  not valid UTF-8 are replaced by U+FFFD. When decoding, strings that are not valid UTF-8 are rejected.
 
       iex> Situ.JSON.encode(%{name: "Mic.Level", rate: 100.0, type: nil})
       ...> |> Situ.JSON.decode()
@@ -12,7 +12,7 @@ defmodule Situ.JSON do
       iex> Situ.JSON.decode(~s({"open": ))
       {:error, :bad_json}
 
-  Where the order of an object's members matters, `{[{key, value}]}` is an object in that order:
+  If the order of an object's members matters, use `{[{key, value}]}`, which is an object in that order:
 
       iex> {:ok, ordered} = Situ.JSON.decode(~s({"b":1,"a":{}}), objects: :pairs)
       {:ok, {[{"b", 1}, {"a", {[]}}]}}
@@ -30,22 +30,22 @@ defmodule Situ.JSON do
           | %{optional(atom() | String.t()) => value()}
           | {[{atom() | String.t(), value()}]}
 
-  @doc "The value as one line of text. Raises on what JSON cannot say (tuples, pids, functions)."
+  @doc "Encodes a value on one line. Raises if JSON cannot represent it (tuples, pids, functions)."
   @spec encode(value()) :: String.t()
   def encode(value), do: value |> to_iodata([]) |> IO.iodata_to_binary()
 
-  @doc "The same over several indented lines, for files that people read."
+  @doc "Encodes a value on several indented lines, for files that people read."
   @spec pretty(value()) :: String.t()
   def pretty(value), do: value |> to_iodata([:pretty]) |> IO.iodata_to_binary()
 
-  # The time to read an integer grows with the square of its digits, and nothing else runs meanwhile.
+  # The time to parse an integer is quadratic in its number of digits, and the scheduler is blocked in the meantime.
   @most_digits 400
 
   @doc """
-  Reads one value; its strings are copies and do not hold on to `text`. The last of several equal keys counts; with
-  `objects: :pairs` all of them are there, in order.
+  Decodes one value. Its strings are copies, so they do not keep `text` in memory. If a key occurs several times, the
+  last one is used; with `objects: :pairs`, all members are returned in order.
 
-  A number of more than #{@most_digits} digits is refused: reading it would hold up the whole node.
+  Numbers of more than #{@most_digits} digits are rejected because parsing them would block the whole node.
   """
   @spec decode(binary(), keyword()) :: {:ok, value()} | {:error, :bad_json}
   def decode(text, opts \\ []) when is_binary(text) do
@@ -54,7 +54,7 @@ defmodule Situ.JSON do
     _, _ -> {:error, :bad_json}
   end
 
-  # Digits inside a string are text, however many: only where some stand in a row is it worth telling the two apart.
+  # Digits inside a string are harmless, so the text is scanned for strings only if it has a long run of digits.
   defp long_number?(text), do: text =~ ~r/[0-9]{401}/ and outside(text, 0)
 
   defp outside(_, n) when n > @most_digits, do: true
@@ -113,7 +113,7 @@ defmodule Situ.JSON do
       value
     end
 
-    # Pairs come last first.
+    # `:json` passes the pairs in reverse order.
     defp object(pairs, outer), do: {pairs |> Enum.reverse() |> Map.new(), outer}
     defp pairs(pairs, outer), do: {{Enum.reverse(pairs)}, outer}
   else

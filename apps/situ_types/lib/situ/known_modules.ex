@@ -1,9 +1,10 @@
 defmodule Situ.KnownModules do
   @moduledoc """
-  Finds the module that a name from outside means: from a recording, a peer or a file.
+  Finds modules by name, when the name comes from a recording, a peer or a file.
 
-  Only modules that are already loaded, and modules that a loaded application lists, are found. No name is searched for
-  in the code path, so an outsider cannot have a `.beam` file of their choice loaded, and no name becomes a new atom.
+  Only modules that are already loaded or that a loaded application lists can be found. The code path is never
+  searched, so an outsider cannot cause an arbitrary `.beam` file to be loaded, and names never become new atoms.
+  atom.
 
       iex> Situ.KnownModules.fetch("Elixir.Situ.Message")
       {:ok, Situ.Message}

@@ -1,6 +1,6 @@
 defmodule Situ.Line3 do
   @moduledoc """
-  A straight line between two places (metres).
+  A line segment between two points (metres).
 
       iex> line = Situ.Line3.new({0.0, 0.0, 0.0}, {2.0, 0.0, 0.0})
       iex> {Situ.Line3.length(line), Situ.Line3.closest_point(line, {3.0, 1.0, 0.0})}
@@ -13,19 +13,19 @@ defmodule Situ.Line3 do
 
   @type t :: %__MODULE__{from: Vector3.t(), to: Vector3.t()}
 
-  @doc "The line between two places."
+  @doc "Builds the line segment between two points."
   @spec new(Vector3.t(), Vector3.t()) :: t()
   def new({_, _, _} = from, {_, _, _} = to), do: %__MODULE__{from: from, to: to}
 
-  @doc "How long it is (metres)."
+  @doc "Returns the length (metres)."
   @spec length(t()) :: float()
   def length(%__MODULE__{from: from, to: to}), do: Vector3.distance(from, to)
 
-  @doc "The place at a ratio of the way, 0 where it begins and 1 where it ends."
+  @doc "Returns the point at a ratio of the length: 0 is the start, 1 is the end."
   @spec at(t(), number()) :: Vector3.t()
   def at(%__MODULE__{from: from, to: to}, ratio), do: Vector3.lerp(from, to, ratio)
 
-  @doc "The nearest of its points."
+  @doc "Returns the point of the line segment nearest to `point`."
   @spec closest_point(t(), Vector3.t()) :: Vector3.t()
   def closest_point(%__MODULE__{from: from, to: to} = line, point) do
     way = Vector3.subtract(to, from)
@@ -38,7 +38,7 @@ defmodule Situ.Line3 do
 
   defp clamp(ratio), do: ratio |> max(0.0) |> min(1.0)
 
-  @doc "The line, given in a pose's own frame, in the frame of the pose."
+  @doc "Transforms the line from the pose's local frame to the frame in which the pose is given."
   @spec transform(t(), Pose.t()) :: t()
   def transform(%__MODULE__{from: from, to: to}, %Pose{} = pose),
     do: new(Pose.transform(pose, from), Pose.transform(pose, to))

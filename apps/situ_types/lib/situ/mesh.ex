@@ -1,14 +1,14 @@
 defmodule Situ.Mesh do
   @moduledoc """
-  Triangles in space: vertices as a binary of 32-bit little-endian floats (x, y, z in metres), and three 32-bit
-  little-endian indices of vertices for each triangle.
+  A triangle mesh. Vertices are a binary of 32-bit little-endian floats (x, y, z in metres); each triangle has three
+  32-bit little-endian vertex indices.
 
       iex> {:ok, mesh} = Situ.Mesh.from_lists([{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}], [{0, 1, 2}])
       iex> {Situ.Mesh.vertex_count(mesh), Situ.Mesh.triangle_count(mesh)}
       {3, 1}
       iex> {:error, error} = Situ.Mesh.from_lists([{0.0, 0.0, 0.0}], [{0, 1, 2}])
       iex> error.what
-      "a triangle names vertex 2, and there are 1"
+      "a triangle uses vertex 2, but the mesh has 1 vertices"
   """
   @behaviour Situ.Codec
 
@@ -20,7 +20,7 @@ defmodule Situ.Mesh do
 
   @type t :: %__MODULE__{vertices: binary(), indices: binary(), pose: Pose.t() | nil}
 
-  @doc "A checked mesh; nothing is copied. An index beyond the vertices is an error."
+  @doc "Builds a validated mesh without copying. A vertex index that is out of range is an error."
   @spec new(binary(), binary(), Pose.t() | nil) :: {:ok, t()} | {:error, Error.t()}
   def new(vertices, indices, pose \\ nil) when is_binary(vertices) and is_binary(indices) do
     count = div(byte_size(vertices), 12)
@@ -28,14 +28,17 @@ defmodule Situ.Mesh do
 
     cond do
       rem(byte_size(vertices), 12) != 0 ->
-        {:error, Error.new(:bad_mesh, "a vertex has 12 bytes")}
+        {:error, Error.new(:bad_mesh, "the size of the vertices must be a multiple of 12 bytes")}
 
       rem(byte_size(indices), 12) != 0 ->
-        {:error, Error.new(:bad_mesh, "a triangle has 12 bytes of indices")}
+        {:error, Error.new(:bad_mesh, "the size of the indices must be a multiple of 12 bytes")}
 
       highest >= count ->
         {:error,
-         Error.new(:bad_mesh, "a triangle names vertex #{highest}, and there are #{count}")}
+         Error.new(
+           :bad_mesh,
+           "a triangle uses vertex #{highest}, but the mesh has #{count} vertices"
+         )}
 
       true ->
         {:ok, %__MODULE__{vertices: vertices, indices: indices, pose: pose}}
@@ -45,7 +48,7 @@ defmodule Situ.Mesh do
   defp highest(<<i::little-32, rest::binary>>, most), do: highest(rest, max(i, most))
   defp highest(_rest, most), do: most
 
-  @doc "The mesh of lists of vertices and of triangles."
+  @doc "Builds a mesh from a list of vertices and a list of triangles."
   @spec from_lists([Vector3.t()], [{non_neg_integer(), non_neg_integer(), non_neg_integer()}]) ::
           {:ok, t()} | {:error, Error.t()}
   def from_lists(vertices, triangles) do
@@ -55,15 +58,15 @@ defmodule Situ.Mesh do
     new(Situ.PointCloud.from_points(vertices).points, indices)
   end
 
-  @doc "How many vertices."
+  @doc "Returns the number of vertices."
   @spec vertex_count(t()) :: non_neg_integer()
   def vertex_count(%__MODULE__{vertices: vertices}), do: div(byte_size(vertices), 12)
 
-  @doc "How many triangles."
+  @doc "Returns the number of triangles."
   @spec triangle_count(t()) :: non_neg_integer()
   def triangle_count(%__MODULE__{indices: indices}), do: div(byte_size(indices), 12)
 
-  @doc "The corners of every triangle, in the outer frame."
+  @doc "Lists the corners of every triangle in the outer frame."
   @spec triangles(t()) :: [{Vector3.t(), Vector3.t(), Vector3.t()}]
   def triangles(%__MODULE__{} = mesh) do
     for <<a::little-32, b::little-32, c::little-32 <- mesh.indices>>,
@@ -78,8 +81,8 @@ defmodule Situ.Mesh do
   end
 
   @doc """
-  Where a ray first meets the mesh, from either side, and the number of the triangle there (from 0); `nil` where it
-  misses.
+  Returns the first point where a ray hits the mesh, from either side, and the index of the triangle (from 0), or
+  `nil` if it misses.
 
       iex> {:ok, mesh} = Situ.Mesh.from_lists([{1.0, -1.0, -1.0}, {1.0, 1.0, -1.0}, {1.0, 0.0, 1.0}], [{0, 1, 2}])
       iex> {:ok, ray} = Situ.Ray3.new({0.0, 0.0, 0.0}, {1.0, 0.0, 0.0})
@@ -98,7 +101,7 @@ defmodule Situ.Mesh do
     with {far, number} <- found, do: {Ray3.point_at(ray, far), number}
   end
 
-  @doc "The nearest point of the mesh's surface, and the number of its triangle; `nil` of a mesh without triangles."
+  @doc "Returns the nearest point of the surface and the index of its triangle, or `nil` if the mesh is empty."
   @spec closest_point(t(), Vector3.t()) :: {Vector3.t(), non_neg_integer()} | nil
   def closest_point(%__MODULE__{pose: pose} = mesh, point) do
     local = if pose, do: Pose.transform(Pose.invert(pose), point), else: point
@@ -113,7 +116,8 @@ defmodule Situ.Mesh do
          do: {if(pose, do: Pose.transform(pose, near), else: near), number}
   end
 
-  # Of what `fun` gives for triangles of the mesh's own frame, `{distance, answer}`, the answer with the least distance.
+  # Calls `fun` with each triangle in the local frame; it returns `{distance, result}`. Returns the result with the
+  # smallest distance.
   defp best(mesh, fun), do: best(mesh.indices, mesh.vertices, fun, 0, nil)
 
   defp best(<<a::little-32, b::little-32, c::little-32, rest::binary>>, vertices, fun, n, best) do
@@ -133,7 +137,7 @@ defmodule Situ.Mesh do
   defp nearer({least, _, _} = best, {far, _}, _n) when least <= far, do: best
   defp nearer(_best, {far, answer}, n), do: {far, answer, n}
 
-  # A vertex of the mesh's own frame; nil where it is none, or no number.
+  # Returns a vertex in the local frame, or nil if the index is out of range or a coordinate is not finite.
   defp at(vertices, index) do
     skipped = index * 12
 
@@ -147,14 +151,14 @@ defmodule Situ.Mesh do
     end
   end
 
-  @doc "The vertices as a cloud, in the outer frame."
+  @doc "Returns the vertices as a point cloud in the outer frame."
   @spec to_cloud(t()) :: PointCloud.t()
   def to_cloud(%__MODULE__{vertices: vertices, pose: nil}), do: %PointCloud{points: vertices}
 
   def to_cloud(%__MODULE__{vertices: vertices, pose: pose}),
     do: PointCloud.transform(%PointCloud{points: vertices}, pose)
 
-  @doc "The mesh, given in a pose's own frame, in the frame of the pose."
+  @doc "Transforms the mesh from the pose's local frame to the frame in which the pose is given."
   @spec transform(t(), Pose.t()) :: t()
   def transform(%__MODULE__{} = mesh, %Pose{} = pose),
     do: %{mesh | pose: if(mesh.pose, do: Pose.compose(pose, mesh.pose), else: pose)}
@@ -194,7 +198,7 @@ defmodule Situ.Mesh do
         {:error,
          Error.new(
            :bad_mesh,
-           "a stored mesh has #{byte_size(rest)} bytes, its head tells otherwise"
+           "the stored mesh has #{byte_size(rest)} bytes of data, which does not match its header"
          )}
     end
   end

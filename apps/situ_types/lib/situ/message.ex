@@ -2,10 +2,10 @@ defmodule Situ.Message do
   @moduledoc """
   One message of a stream: the data and its envelope.
 
-    * `originating_time`: when the thing happened in the world; strictly increasing per stream.
-    * `creation_time`: when this very message was made; `creation_time - originating_time` is the latency seen here.
-    * `sequence_id`: 1, 2, 3 ... per output; a gap at an input is a drop.
-    * `source_id`: the output that emitted it, unique within its pipeline.
+    * `originating_time`: when the event happened in the world; strictly increasing within a stream.
+    * `creation_time`: when this message was created; `creation_time - originating_time` is its latency.
+    * `sequence_id`: 1, 2, 3 ... per output; a gap at an input means that messages were dropped.
+    * `source_id`: the output that emitted the message, unique within its pipeline.
 
       iex> message = %Situ.Message{data: 42, originating_time: 10, creation_time: 13, sequence_id: 1, source_id: 7}
       iex> Situ.Message.latency(message)
@@ -24,13 +24,13 @@ defmodule Situ.Message do
         }
   @type t :: t(term())
 
-  @doc "Creation minus originating time, in nanoseconds."
+  @doc "Returns creation time minus originating time, in nanoseconds."
   @spec latency(t()) :: Situ.Time.duration()
   def latency(%__MODULE__{} = message), do: message.creation_time - message.originating_time
 
   @doc """
-  The size of the data in bytes: of a binary, or of what a picture or sound holds, its bytes; of anything else that of
-  its external term format. It walks through the term: costly for large ones that are not binaries.
+  Returns the size of the data in bytes: the byte size of binaries, images and audio, and the external term format
+  size of everything else. The latter traverses the term, which is expensive for large ones.
 
       iex> Situ.Message.size(%Situ.Message{data: <<1, 2, 3>>, originating_time: 0})
       3

@@ -1,9 +1,9 @@
 defmodule Situ.Number do
   @moduledoc """
-  Arithmetic on numbers that may be `:nan`, `:infinity` or `:neg_infinity`, as IEEE 754 has it.
+  Arithmetic on numbers that may be `:nan`, `:infinity` or `:neg_infinity`, following IEEE 754.
 
-  The Erlang VM has no such floats; these atoms (Nx uses the same) stand for them wherever Situ computes with numbers.
-  `:nan` is contagious. Integers stay exact.
+  Erlang floats cannot hold these values. Wherever Situ computes with numbers, these atoms represent them, as in Nx.
+  `:nan` propagates. Integers stay exact.
 
       iex> Situ.Number.add(:infinity, 1)
       :infinity
@@ -15,11 +15,11 @@ defmodule Situ.Number do
 
   @type t :: number() | :nan | :infinity | :neg_infinity
 
-  @doc "Whether `value` is one of them."
+  @doc "Returns whether `value` is a number, `:nan`, `:infinity` or `:neg_infinity`."
   @spec number?(term()) :: boolean()
   def number?(value), do: is_number(value) or value in [:nan, :infinity, :neg_infinity]
 
-  @doc "Sum; a sum too large for a float is infinite."
+  @doc "Adds two numbers; a sum that is too large for a float is infinite."
   @spec add(t(), t()) :: t()
   def add(a, b) when is_integer(a) and is_integer(b), do: a + b
   def add(a, b) when is_number(a) and is_number(b), do: sum(a, b)
@@ -31,13 +31,13 @@ defmodule Situ.Number do
   def add(a, b) when is_number(a), do: infinite(b)
   def add(a, a), do: infinite(a)
 
-  @doc "Difference."
+  @doc "Subtracts `b` from `a`."
   @spec subtract(t(), t()) :: t()
   def subtract(a, b) when is_integer(a) and is_integer(b), do: a - b
   def subtract(a, b) when is_float(a) and is_float(b), do: sum(a, -b)
   def subtract(a, b), do: add(a, negate(b))
 
-  @doc "Product."
+  @doc "Multiplies two numbers."
   @spec multiply(t(), t()) :: t()
   def multiply(a, b) when is_integer(a) and is_integer(b), do: a * b
 
@@ -47,7 +47,7 @@ defmodule Situ.Number do
   def multiply(a, :nan), do: nan(a)
   def multiply(a, b), do: of_sign(sign(a) * sign(b))
 
-  @doc "Quotient, always a float; by zero it is infinite, or `:nan` for 0/0."
+  @doc "Divides `a` by `b`. The result is a float; division by zero is infinite, or `:nan` for 0/0."
   @spec divide(t(), t()) :: t()
   def divide(a, b) when is_number(a) and is_number(b) and b != 0, do: quotient(a, b)
 
@@ -59,7 +59,7 @@ defmodule Situ.Number do
   def divide(a, b) when a in [:infinity, :neg_infinity], do: nan(b)
 
   @doc """
-  The number on the straight line from `a` (ratio 0.0) to `b` (ratio 1.0); `nil`, no value, where one of them is.
+  Interpolates linearly between `a` (ratio 0.0) and `b` (ratio 1.0). Returns `nil` (no value) if either is `nil`.
 
       iex> Situ.Number.between(10, 20, 0.25)
       12.5
@@ -80,12 +80,12 @@ defmodule Situ.Number do
 
   def between(a, b, ratio), do: add(a, multiply(subtract(b, a), ratio))
 
-  @doc "The sum of the products of two lists."
+  @doc "Returns the dot product of two lists."
   @spec dot([t()], [t()]) :: t()
   def dot(a, b), do: Enum.zip_reduce(a, b, 0.0, fn x, y, sum -> add(sum, multiply(x, y)) end)
 
   @doc """
-  The median; `:nan` if one of them is.
+  Returns the median, or `:nan` if the list contains `:nan`.
 
       iex> Situ.Number.median([3, :infinity, 1])
       3
@@ -110,7 +110,7 @@ defmodule Situ.Number do
       else: Enum.sort_by(numbers, &{rank(&1), &1})
   end
 
-  @doc "The number with the other sign."
+  @doc "Negates a number."
   @spec negate(t()) :: t()
   def negate(:nan), do: :nan
   def negate(:infinity), do: :neg_infinity
@@ -118,31 +118,31 @@ defmodule Situ.Number do
   def negate(a) when is_number(a), do: -a
   def negate(other), do: refuse(other)
 
-  @doc "The number without its sign."
+  @doc "Returns the absolute value."
   @spec abs(t()) :: t()
   def abs(a) when is_number(a), do: Kernel.abs(a)
   def abs(:nan), do: :nan
   def abs(a) when a in [:infinity, :neg_infinity], do: :infinity
   def abs(other), do: refuse(other)
 
-  @doc "The smaller of both; `:nan` if either is."
+  @doc "Returns the smaller number, or `:nan` if either is `:nan`."
   @spec min(t(), t()) :: t()
   def min(a, b) when is_number(a) and is_number(b), do: Kernel.min(a, b)
   def min(a, b), do: pick(a, b, :lt)
 
-  @doc "The larger of both; `:nan` if either is."
+  @doc "Returns the larger number, or `:nan` if either is `:nan`."
   @spec max(t(), t()) :: t()
   def max(a, b) when is_number(a) and is_number(b), do: Kernel.max(a, b)
   def max(a, b), do: pick(a, b, :gt)
 
-  @doc "Square root; of a negative number `:nan`."
+  @doc "Returns the square root; `:nan` for a negative number."
   @spec sqrt(t()) :: t()
   def sqrt(a) when is_number(a) and a >= 0, do: :math.sqrt(a)
   def sqrt(:infinity), do: :infinity
   def sqrt(a), do: nan(a)
 
   @doc """
-  Natural logarithm: of 0 `:neg_infinity`, of a negative number `:nan`.
+  Returns the natural logarithm: `:neg_infinity` for 0, `:nan` for a negative number.
 
       iex> Situ.Number.log(0)
       :neg_infinity
@@ -158,7 +158,7 @@ defmodule Situ.Number do
   defp pick(a, b, :lt), do: if(rank(a) <= rank(b), do: a, else: b)
   defp pick(a, b, :gt), do: if(rank(a) >= rank(b), do: a, else: b)
 
-  # Only the infinite ones need a rank of their own: at most one of two is finite here, or both are infinite.
+  # Only infinities need distinct ranks: here, either one number is infinite or both are.
   defp rank(:nan), do: 2
   defp rank(:infinity), do: 1
   defp rank(:neg_infinity), do: -1
@@ -176,7 +176,7 @@ defmodule Situ.Number do
   defp of_sign(-1), do: :neg_infinity
   defp of_sign(0), do: :nan
 
-  # The VM raises where IEEE 754 gives an infinite result.
+  # The Erlang VM raises if IEEE 754 defines an infinite result.
   defp sum(a, b) do
     a + b
   rescue

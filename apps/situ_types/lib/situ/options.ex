@@ -1,16 +1,18 @@
 defmodule Situ.Options do
   @moduledoc """
-  Option schemas: one keyword list validates, fills in defaults, documents, and suggests the nearest name for a typo.
+  Option schemas. One keyword list validates options, fills in defaults, generates documentation, and suggests the
+  nearest name for a typo.
 
       schema = [
         rate: [type: :pos_integer, default: 16_000, doc: "Samples per second."],
         mode: [type: {:in, [:fast, :exact]}, default: :exact, doc: "How to resample."]
       ]
 
-  Types: `:any`, `:atom`, `:boolean`, `:integer`, `:pos_integer`, `:non_neg_integer`, `:number`, `:float`,
-  `:string`, `:list`, `:keyword`, `:map`, `:module`, `:pid`, `:time_ns` (an integer of nanoseconds), `{:in, values}`,
-  `{:fun, arity}`, `{:list, type}`, `{:range, min, max}` (a number, both ends included), `{:integer, min, max}` (a
-  whole one), `{:struct, module}`, `{:tuple, [type]}`, `{:or, [type]}` and `{:optional, type}` (the type or `nil`).
+  Types: `:any`, `:atom`, `:boolean`, `:integer`, `:pos_integer`, `:non_neg_integer`, `:number`, `:float`, `:string`,
+  `:list`, `:keyword`, `:map`, `:module`, `:pid`, `:time_ns` (an integer of nanoseconds), `{:in, values}`,
+  `{:fun, arity}`, `{:list, type}`, `{:range, min, max}` (a number, both ends included), `{:integer, min, max}` (an
+  integer, both ends included), `{:struct, module}`, `{:tuple, [type]}`, `{:or, [type]}` and `{:optional, type}` (the type or
+  `nil`).
   """
   alias Situ.Error
 
@@ -20,7 +22,7 @@ defmodule Situ.Options do
         ]
 
   @doc """
-  Checks `opts` against `schema` and fills in defaults, in the schema's order.
+  Validates `opts` against `schema` and returns them in the schema's order, with defaults filled in.
 
       iex> Situ.Options.validate([], rate: [type: :pos_integer, default: 16_000, doc: "Hz."])
       {:ok, [rate: 16_000]}
@@ -39,7 +41,7 @@ defmodule Situ.Options do
     end
   end
 
-  @doc "As `validate/2`, but returns the options or raises the `Situ.Error`."
+  @doc "Like `validate/2`, but returns the options or raises the `Situ.Error`."
   @spec validate!(keyword(), schema()) :: keyword()
   def validate!(opts, schema) do
     case validate(opts, schema) do
@@ -49,7 +51,7 @@ defmodule Situ.Options do
   end
 
   @doc """
-  Renders `schema` as a Markdown list, to interpolate into a `@moduledoc`; options with `doc: false` are left out.
+  Formats `schema` as a Markdown list to interpolate into a `@moduledoc`. Options with `doc: false` are omitted.
 
       iex> Situ.Options.docs(rate: [type: :pos_integer, default: 16_000, doc: "Samples per second."])
       "  * `:rate` (a positive integer, default `16000`) - Samples per second."
@@ -64,7 +66,7 @@ defmodule Situ.Options do
   end
 
   @doc """
-  The name nearest to `name` among `known`, or `nil` when nothing comes close.
+  Returns the name in `known` that is most similar to `name`, or `nil` if none is similar.
 
       iex> Situ.Options.nearest("tresh", ["threshold", "rate"])
       "threshold"
@@ -113,7 +115,7 @@ defmodule Situ.Options do
     end
   end
 
-  defp hint(_bad, []), do: "there are no options here"
+  defp hint(_bad, []), do: "remove it: no options are supported here"
 
   defp hint(bad, known) do
     list = "Known options: " <> Enum.map_join(known, ", ", &inspect/1)
@@ -155,7 +157,7 @@ defmodule Situ.Options do
     end
   end
 
-  # A struct's module may know what the caller meant: for `:latest`, `Situ.Delivery.latest()`.
+  # The module of a struct may suggest the intended value, such as `Situ.Delivery.latest()` for `:latest`.
   defp suggestion({:optional, type}, value), do: suggestion(type, value)
   defp suggestion({:or, types}, value), do: Enum.find_value(types, &suggestion(&1, value))
   defp suggestion({:list, type}, [value | _]), do: suggestion(type, value)
@@ -169,7 +171,7 @@ defmodule Situ.Options do
   defp suggestion(_type, _value), do: nil
 
   @doc """
-  Whether `value` is of option type `type`.
+  Returns whether `value` matches the option type `type`.
 
       iex> Situ.Options.valid?({:list, :pos_integer}, [1, 2])
       true

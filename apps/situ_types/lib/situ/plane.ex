@@ -1,6 +1,6 @@
 defmodule Situ.Plane do
   @moduledoc """
-  A plane in space: all points `p` with `normal . p = offset`; the normal is a unit vector.
+  A plane in space: all points `p` with `normal . p = offset`, where the normal is a unit vector.
 
       iex> {:ok, floor} = Situ.Plane.through({0.0, 0.0, 1.0}, {1.0, 0.0, 1.0}, {0.0, 1.0, 1.0})
       iex> {floor.normal, floor.offset, Situ.Plane.distance(floor, {5.0, 5.0, 3.0})}
@@ -13,7 +13,7 @@ defmodule Situ.Plane do
 
   @type t :: %__MODULE__{normal: Vector3.t(), offset: float()}
 
-  @doc "The plane through three points; they must not lie on one line."
+  @doc "Builds the plane through three points, which must not be on one line."
   @spec through(Vector3.t(), Vector3.t(), Vector3.t()) :: {:ok, t()} | {:error, Error.t()}
   def through(a, b, c) do
     case Vector3.subtract(b, a) |> Vector3.cross(Vector3.subtract(c, a)) |> Vector3.normalize() do
@@ -24,21 +24,21 @@ defmodule Situ.Plane do
         {:error,
          Error.new(
            :degenerate_plane,
-           "three points on one line span no plane: #{inspect([a, b, c])}"
+           "three points on one line do not define a plane: #{inspect([a, b, c])}"
          )}
     end
   end
 
-  @doc "Signed distance (metres): positive on the side the normal points to."
+  @doc "Returns the signed distance (metres), positive on the side that the normal points to."
   @spec distance(t(), Vector3.t()) :: float()
   def distance(%__MODULE__{} = plane, point), do: Vector3.dot(plane.normal, point) - plane.offset
 
-  @doc "The nearest point of the plane."
+  @doc "Projects `point` onto the plane."
   @spec project(t(), Vector3.t()) :: Vector3.t()
   def project(%__MODULE__{} = plane, point),
     do: Vector3.subtract(point, Vector3.scale(plane.normal, distance(plane, point)))
 
-  @doc "Where a ray meets the plane; `nil` where it runs beside it or away from it."
+  @doc "Returns the point where a ray hits the plane, or `nil` if it is parallel or points away."
   @spec intersection(t(), Ray3.t()) :: Vector3.t() | nil
   def intersection(%__MODULE__{} = plane, %Ray3{} = ray) do
     slope = Vector3.dot(plane.normal, ray.direction)

@@ -1,6 +1,6 @@
 defmodule Situ.Point2 do
   @moduledoc """
-  A point in a picture or a plane: `x` to the right, `y` down, in pixels unless said otherwise.
+  A point in an image or a plane: `x` to the right, `y` down, in pixels unless stated otherwise.
 
       iex> Situ.Point2.distance(%Situ.Point2{x: 0, y: 0}, %Situ.Point2{x: 3, y: 4})
       5.0
@@ -10,11 +10,11 @@ defmodule Situ.Point2 do
 
   @type t :: %__MODULE__{x: number(), y: number()}
 
-  @doc "A checked point."
+  @doc "Builds a point from two numbers."
   @spec new(number(), number()) :: t()
   def new(x, y) when is_number(x) and is_number(y), do: %__MODULE__{x: x, y: y}
 
-  @doc "Straight-line distance."
+  @doc "Returns the Euclidean distance."
   @spec distance(t(), t()) :: float()
   def distance(%__MODULE__{} = a, %__MODULE__{} = b),
     do: :math.sqrt((a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y))

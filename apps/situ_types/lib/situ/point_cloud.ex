@@ -1,8 +1,8 @@
 defmodule Situ.PointCloud do
   @moduledoc """
-  Many points in space as one binary: three 32-bit little-endian floats a point (x, y, z in metres), and optionally a
-  colour a point (three bytes: red, green, blue) in another binary, and a value a point (a 32-bit little-endian float:
-  how strongly a laser shone back, how sure it is) in a third.
+  A point cloud: one binary with three 32-bit little-endian floats per point (x, y, z in metres). Optional binaries
+  hold a colour (three bytes: red, green, blue) and a value (a 32-bit little-endian float, for example laser intensity
+  or confidence) per point.
 
       iex> cloud = Situ.PointCloud.from_points([{0.0, 0.0, 0.0}, {2.0, 4.0, 6.0}])
       iex> {Situ.PointCloud.count(cloud), Situ.PointCloud.bounds(cloud).max, Situ.PointCloud.centroid(cloud)}
@@ -18,7 +18,7 @@ defmodule Situ.PointCloud do
 
   @type t :: %__MODULE__{points: binary(), colors: binary() | nil, values: binary() | nil}
 
-  @doc "A checked cloud; nothing is copied. Functions that use a cloud refuse coordinates that are not finite."
+  @doc "Builds a validated cloud without copying. Functions that use a cloud reject coordinates that are not finite."
   @spec new(binary(), binary() | nil, binary() | nil) :: {:ok, t()} | {:error, Error.t()}
   def new(points, colors \\ nil, values \\ nil) when is_binary(points) do
     cond do
@@ -26,7 +26,7 @@ defmodule Situ.PointCloud do
         {:error,
          Error.new(
            :bad_cloud,
-           "#{byte_size(points)} bytes are no whole number of points of 12 bytes"
+           "#{byte_size(points)} bytes are not a whole number of points of 12 bytes"
          )}
 
       colors != nil and byte_size(colors) * 4 != byte_size(points) ->
@@ -42,7 +42,7 @@ defmodule Situ.PointCloud do
          Error.new(
            :bad_cloud,
            "#{div(byte_size(points), 12)} points have #{byte_size(values)} bytes of values",
-           fix: "give a float of 32 bits for each point"
+           fix: "give a 32-bit float for each point"
          )}
 
       true ->
@@ -50,7 +50,7 @@ defmodule Situ.PointCloud do
     end
   end
 
-  @doc "The cloud of a list of points."
+  @doc "Builds a cloud from a list of points."
   @spec from_points([Vector3.t()]) :: t()
   def from_points(points) do
     %__MODULE__{
@@ -63,24 +63,24 @@ defmodule Situ.PointCloud do
     }
   end
 
-  @doc "The points as a list; those whose coordinates are not finite are left out."
+  @doc "Returns the points as a list without points whose coordinates are not finite."
   @spec to_points(t()) :: [Vector3.t()]
   def to_points(%__MODULE__{points: points}) do
-    # a generator over the bytes would end at the first that is no number
+    # A generator over the floats would stop at the first value that is not finite.
     for <<point::binary-size(12) <- points>>,
         <<x::little-float-32, y::little-float-32, z::little-float-32>> <- [point],
         do: {x, y, z}
   end
 
-  @doc "How many points."
+  @doc "Returns the number of points."
   @spec count(t()) :: non_neg_integer()
   def count(%__MODULE__{points: points}), do: div(byte_size(points), 12)
 
-  @doc "The smallest upright box that holds all points; `nil` for an empty cloud."
+  @doc "Returns the smallest axis-aligned box around all points, or `nil` for an empty cloud."
   @spec bounds(t()) :: Box3.t() | nil
   def bounds(%__MODULE__{} = cloud), do: cloud |> to_points() |> Box3.around()
 
-  @doc "The mean of all points; `nil` for an empty cloud."
+  @doc "Returns the mean of all points, or `nil` for an empty cloud."
   @spec centroid(t()) :: Vector3.t() | nil
   def centroid(%__MODULE__{} = cloud) do
     case to_points(cloud) do
@@ -90,8 +90,8 @@ defmodule Situ.PointCloud do
   end
 
   @doc """
-  The cloud, given in a pose's own frame, in the frame of the pose; colours stay, and so do points whose coordinates are
-  not finite. `Situ.Space.Cloud.transform/2` is the fast one.
+  Transforms the cloud from the pose's local frame to the frame in which the pose is given. Colours and points whose
+  coordinates are not finite are unchanged. `Situ.Space.Cloud.transform/2` is faster.
   """
   @spec transform(t(), Pose.t()) :: t()
   def transform(%__MODULE__{points: points} = cloud, %Pose{} = pose) do
@@ -111,7 +111,7 @@ defmodule Situ.PointCloud do
 
   @impl Situ.Codec
   def encode(%__MODULE__{points: points, colors: colors} = cloud) do
-    # clouds of older recordings that are decoded as terms have no values
+    # Clouds in older recordings that are decoded as terms have no `values` field.
     values = Map.get(cloud, :values)
     flags = if(colors, do: 1, else: 0) + if(values, do: 2, else: 0)
 

@@ -1,16 +1,16 @@
 defmodule Situ.Pose do
   @moduledoc """
-  A place and an orientation in space: where the origin of one frame lies in another, and how it is turned.
+  A position and an orientation in space: the origin of one frame in another frame, and its rotation.
 
-  Axes are x forward, y left, z up, in metres (as \\psi and ROS have them). A pose maps coordinates of its own frame to
-  those of the frame it is given in:
+  Axes are x forward, y left, z up, in metres, as in \\psi and ROS. A pose maps coordinates in its local frame to
+  coordinates in the frame in which it is given:
 
       iex> camera = Situ.Pose.new({1.0, 0.0, 0.5}, Situ.Quaternion.from_euler(:math.pi() / 2, 0, 0))
       iex> {x, y, z} = Situ.Pose.transform(camera, {2.0, 0.0, 0.0})
       iex> {Float.round(x, 9), Float.round(y, 9), z}
       {1.0, 2.0, 0.5}
 
-  `compose(a, b)` is the pose of `b`'s frame where `b` is given in `a`'s frame, and `a` in the frame of the result.
+  `compose(a, b)` expects `b` in the frame of `a` and returns it in the frame in which `a` is given.
   """
   @behaviour Situ.Codec
 
@@ -21,7 +21,7 @@ defmodule Situ.Pose do
 
   @type t :: %__MODULE__{position: Vector3.t(), rotation: Quaternion.t()}
 
-  @doc "The pose at `position` (metres), turned by `rotation`, which is made to have unit length."
+  @doc "Builds a pose at `position` (metres) with `rotation`, which is normalized to unit length."
   @spec new(Vector3.t(), Quaternion.t()) :: t()
   def new({_, _, _} = position, rotation \\ {1.0, 0.0, 0.0, 0.0}) do
     case Quaternion.normalize(rotation) do
@@ -29,16 +29,17 @@ defmodule Situ.Pose do
         %__MODULE__{position: position, rotation: rotation}
 
       :error ->
-        raise ArgumentError, "#{inspect(rotation)} is no rotation: a quaternion has unit length"
+        raise ArgumentError,
+              "#{inspect(rotation)} is not a rotation: its length is too small to be normalized"
     end
   end
 
-  @doc "No displacement, no rotation."
+  @doc "Returns the pose without displacement or rotation."
   @spec identity() :: t()
   def identity, do: %__MODULE__{position: {0.0, 0.0, 0.0}, rotation: Quaternion.identity()}
 
   @doc """
-  The pose at `position` whose x axis points along `forward` and whose z axis lies as near to `up` as it can.
+  Builds the pose at `position` whose x axis points along `forward` and whose z axis is as close to `up` as possible.
 
       iex> {:ok, pose} = Situ.Pose.looking({0.0, 0.0, 1.0}, {0.0, 2.0, 0.0})
       iex> {yaw, pitch, roll} = Situ.Quaternion.to_euler(pose.rotation)
@@ -60,21 +61,21 @@ defmodule Situ.Pose do
         {:error,
          Error.new(
            :degenerate_pose,
-           "no pose looks along #{inspect(forward)} with up #{inspect(up)}",
-           why: "the two are parallel, or one of them has no length",
+           "forward #{inspect(forward)} and up #{inspect(up)} do not define a pose",
+           why: "they are parallel, or at least one has length 0",
            fix: "give an up direction that differs from the forward direction"
          )}
     end
   end
 
-  @doc "The pose of `b`'s frame in the frame that `a` is given in; `b` is given in `a`'s frame."
+  @doc "Returns the pose `b`, which is given in the frame of `a`, in the frame in which `a` is given."
   @spec compose(t(), t()) :: t()
   def compose(%__MODULE__{} = a, %__MODULE__{} = b) do
     {position, rotation} = both(a.position, a.rotation, b.position, b.rotation)
     %__MODULE__{position: position, rotation: rotation}
   end
 
-  # `transform/2` and `Situ.Quaternion.multiply/2` in one; the guards keep all of it in registers.
+  # Combines `transform/2` and `Situ.Quaternion.multiply/2`; the guards keep all values in registers.
   defp both({px, py, pz}, {w, x, y, z}, {vx, vy, vz}, {bw, bx, by, bz})
        when is_float(px) and is_float(py) and is_float(pz) and is_float(w) and is_float(x) and
               is_float(y) and is_float(z) and is_float(vx) and is_float(vy) and is_float(vz) and
@@ -94,7 +95,7 @@ defmodule Situ.Pose do
      Quaternion.multiply(rotation, turn)}
   end
 
-  @doc "The pose of the outer frame in this pose's own frame."
+  @doc "Returns the pose of the outer frame in the local frame of this pose."
   @spec invert(t()) :: t()
   def invert(%__MODULE__{} = pose) do
     rotation = Quaternion.inverse(pose.rotation)
@@ -105,12 +106,12 @@ defmodule Situ.Pose do
     }
   end
 
-  @doc "A point of the pose's own frame, in the frame that the pose is given in."
+  @doc "Transforms a point from the pose's local frame to the frame in which the pose is given."
   @spec transform(t(), Vector3.t()) :: Vector3.t()
   def transform(%__MODULE__{} = pose, point),
     do: Vector3.add(pose.position, Quaternion.rotate(pose.rotation, point))
 
-  @doc "The directions of the pose's x, y and z axes."
+  @doc "Returns the directions of the pose's x, y and z axes."
   @spec axes(t()) :: {Vector3.t(), Vector3.t(), Vector3.t()}
   def axes(%__MODULE__{rotation: q}) do
     {Quaternion.rotate(q, {1.0, 0.0, 0.0}), Quaternion.rotate(q, {0.0, 1.0, 0.0}),
@@ -118,8 +119,8 @@ defmodule Situ.Pose do
   end
 
   @doc """
-  The pose between `a` (ratio 0) and `b` (ratio 1): position on the straight line, rotation on the shortest arc. Other
-  ratios extrapolate. `nil` where either is `nil`.
+  Interpolates between `a` (ratio 0) and `b` (ratio 1): the position on the straight line, the rotation on the
+  shortest arc. Other ratios extrapolate. Returns `nil` if either is `nil`.
 
       iex> a = Situ.Pose.identity()
       iex> b = Situ.Pose.new({2.0, 0.0, 0.0}, Situ.Quaternion.from_euler(1.0, 0, 0))
@@ -137,7 +138,7 @@ defmodule Situ.Pose do
 
   def interpolate(_a, _b, _ratio), do: nil
 
-  @doc "The 4x4 matrix, a list of 16 numbers, row by row."
+  @doc "Converts the pose to a 4x4 matrix, a list of 16 numbers in row order."
   @spec to_matrix(t()) :: [float()]
   def to_matrix(%__MODULE__{position: {x, y, z}, rotation: q}) do
     {{a, b, c}, {d, e, f}, {g, h, i}} = Quaternion.to_matrix(q)
@@ -145,8 +146,8 @@ defmodule Situ.Pose do
   end
 
   @doc """
-  The pose of a 4x4 matrix given row by row. A matrix that scales, shears or mirrors, or whose last row is not
-  `0 0 0 1`, is an error.
+  Converts a 4x4 matrix in row order to a pose. Returns an error if the matrix scales, shears or mirrors, or if its
+  last row is not `0 0 0 1`.
   """
   @spec from_matrix([number()]) :: {:ok, t()} | {:error, Error.t()}
   def from_matrix([a, b, c, x, d, e, f, y, g, h, i, z, 0, 0, 0, 1]) do
@@ -165,8 +166,8 @@ defmodule Situ.Pose do
   def from_matrix(other), do: {:error, not_rigid(other)}
 
   defp not_rigid(matrix) do
-    Error.new(:degenerate_pose, "no pose has the matrix #{inspect(matrix)}",
-      why: "a pose turns and moves; it does not scale, shear or mirror",
+    Error.new(:degenerate_pose, "not the matrix of a pose: #{inspect(matrix)}",
+      why: "a pose only rotates and translates; it does not scale, shear or mirror",
       fix: "divide the columns by their lengths, or use a mesh or box with a size"
     )
   end
@@ -184,13 +185,13 @@ defmodule Situ.Pose do
         <<1, _::56, x::little-float-64, y::little-float-64, z::little-float-64,
           w::little-float-64, i::little-float-64, j::little-float-64, k::little-float-64>>
       ) do
-    # The rotation is kept as it was stored, so the squares of its parts must be in range.
+    # The rotation is not normalized here, so the squares of its components must be in range.
     with true <- Enum.all?([w, i, j, k], &(abs(&1) < 1.0e100)),
          {:ok, _} <- Quaternion.normalize({w, i, j, k}) do
       {:ok, %__MODULE__{position: {x, y, z}, rotation: {w, i, j, k}}}
     else
-      false -> {:error, Error.new(:degenerate_pose, "the stored rotation is too large to be one")}
-      :error -> {:error, Error.new(:degenerate_pose, "the stored rotation has no length")}
+      false -> {:error, Error.new(:degenerate_pose, "the stored rotation is too large")}
+      :error -> {:error, Error.new(:degenerate_pose, "the stored rotation has length 0")}
     end
   end
 

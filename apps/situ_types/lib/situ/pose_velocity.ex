@@ -1,7 +1,7 @@
 defmodule Situ.PoseVelocity do
   @moduledoc """
-  How a pose moves and turns at once: where it is, how fast it goes (metres a second) and how fast it turns (radians a
-  second around an axis), both in the frame that the pose is given in. `Situ.Velocity3` is one of the two alone.
+  The linear and angular velocity of a pose: its pose, its linear velocity (metres per second) and its angular
+  velocity (radians per second around an axis), all in the same frame. `Situ.Velocity3` holds a single velocity.
 
       iex> a = Situ.Pose.identity()
       iex> b = Situ.Pose.new({0.0, 1.0, 0.0}, Situ.Quaternion.from_euler(0.5, 0, 0))
@@ -16,10 +16,10 @@ defmodule Situ.PoseVelocity do
   @enforce_keys [:pose, :linear, :angular]
   defstruct [:pose, :linear, :angular]
 
-  @typedoc "`angular` is the axis, as long as it turns fast."
+  @typedoc "`angular` is the rotation axis; its length is the angular speed."
   @type t :: %__MODULE__{pose: Pose.t(), linear: Vector3.t(), angular: Vector3.t()}
 
-  @doc "The velocity between two poses that are `duration` ns apart, at the later one."
+  @doc "Returns the velocity between two poses that are `duration` ns apart, at the later pose."
   @spec between(Pose.t(), Pose.t(), Situ.Time.duration()) :: {:ok, t()} | {:error, Error.t()}
   def between(%Pose{} = from, %Pose{} = to, duration) do
     with {:ok, moves} <- Velocity3.linear(from, to, duration),
@@ -33,7 +33,7 @@ defmodule Situ.PoseVelocity do
     end
   end
 
-  @doc "The pose of something that goes and turns on like this after `duration` ns (before, where it is negative)."
+  @doc "Extrapolates the pose by `duration` ns at constant velocity; a negative duration goes back in time."
   @spec destination(t(), Situ.Time.duration()) :: Pose.t()
   def destination(%__MODULE__{pose: pose} = velocity, duration) do
     seconds = duration / 1.0e9

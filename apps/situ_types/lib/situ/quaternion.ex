@@ -2,7 +2,8 @@ defmodule Situ.Quaternion do
   @moduledoc """
   Rotations as unit quaternions `{w, x, y, z}`.
 
-  `{w, x, y, z}` and its negative are the same rotation. Functions expect unit length; `normalize/1` restores it.
+  `{w, x, y, z}` and its negative are the same rotation. Functions expect unit length; use `normalize/1` to restore
+  it.
 
       iex> quarter = Situ.Quaternion.from_axis_angle({0.0, 0.0, 1.0}, :math.pi() / 2)
       iex> {x, y, z} = Situ.Quaternion.rotate(quarter, {1.0, 0.0, 0.0})
@@ -15,11 +16,11 @@ defmodule Situ.Quaternion do
   @typedoc "Three rows of three numbers."
   @type matrix :: {Vector3.t(), Vector3.t(), Vector3.t()}
 
-  @doc "No rotation."
+  @doc "Returns the rotation by angle 0."
   @spec identity() :: t()
   def identity, do: {1.0, 0.0, 0.0, 0.0}
 
-  @doc "A rotation by `angle` radians, right-handed, around a unit `axis`."
+  @doc "Builds a right-handed rotation by `angle` radians around a unit `axis`."
   @spec from_axis_angle(Vector3.t(), number()) :: t()
   def from_axis_angle({x, y, z}, angle) do
     s = :math.sin(angle / 2)
@@ -27,7 +28,7 @@ defmodule Situ.Quaternion do
   end
 
   @doc """
-  The axis (unit) and angle in `0.0..pi` of a rotation; the axis of no rotation is x.
+  Returns the unit axis and the angle (`0.0..pi`) of a rotation. If the angle is 0, the axis is x.
 
       iex> Situ.Quaternion.to_axis_angle(Situ.Quaternion.identity())
       {{1.0, 0.0, 0.0}, 0.0}
@@ -42,7 +43,7 @@ defmodule Situ.Quaternion do
     end
   end
 
-  @doc "A rotation by yaw (around z), then pitch (around the new y), then roll (around the new x), radians."
+  @doc "Builds a rotation by yaw (around z), then pitch (around the new y), then roll (around the new x), in radians."
   @spec from_euler(yaw :: number(), pitch :: number(), roll :: number()) :: t()
   def from_euler(yaw, pitch, roll) do
     from_axis_angle({0.0, 0.0, 1.0}, yaw)
@@ -51,8 +52,8 @@ defmodule Situ.Quaternion do
   end
 
   @doc """
-  Yaw, pitch and roll in radians, as `from_euler/3` takes them; pitch lies in `-pi/2..pi/2`. At its ends only yaw minus
-  roll (or plus) is defined, and roll is 0.
+  Returns yaw, pitch and roll in radians, as used by `from_euler/3`. Pitch is in `-pi/2..pi/2`. At either limit, only
+  the difference or sum of yaw and roll is defined, and roll is 0.
   """
   @spec to_euler(t()) :: {yaw :: float(), pitch :: float(), roll :: float()}
   def to_euler(q) do
@@ -65,18 +66,18 @@ defmodule Situ.Quaternion do
     end
   end
 
-  @doc "First the rotation `b`, then the rotation `a`."
+  @doc "Combines two rotations: `b` is applied first, then `a`."
   @spec multiply(t(), t()) :: t()
   def multiply({aw, ax, ay, az}, {bw, bx, by, bz}) do
     {aw * bw - ax * bx - ay * by - az * bz, aw * bx + ax * bw + ay * bz - az * by,
      aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw}
   end
 
-  @doc "The rotation backwards."
+  @doc "Returns the inverse rotation."
   @spec inverse(t()) :: t()
   def inverse({w, x, y, z}), do: {w, -x, -y, -z}
 
-  @doc "The vector, rotated."
+  @doc "Rotates a vector."
   @spec rotate(t(), Vector3.t()) :: Vector3.t()
   def rotate({w, x, y, z}, {vx, vy, vz}) do
     # v + 2w (u x v) + 2 u x (u x v), with u the quaternion's vector part.
@@ -87,7 +88,7 @@ defmodule Situ.Quaternion do
   @large 1.0e100
 
   @doc """
-  Returns the quaternion with unit length; `:error` for one too short to be a rotation.
+  Returns the quaternion scaled to unit length, or `:error` if it is too short to be a rotation.
 
       iex> Situ.Quaternion.normalize({3.0e200, 0.0, 4.0e200, 0.0})
       {:ok, {0.6, 0.0, 0.8, 0.0}}
@@ -95,7 +96,7 @@ defmodule Situ.Quaternion do
   @spec normalize(t()) :: {:ok, t()} | :error
   def normalize({w, x, y, z} = q) do
     case max(max(abs(w), abs(x)), max(abs(y), abs(z))) do
-      # The squares of such numbers are out of range.
+      # Squares of numbers this large would overflow.
       largest when largest > @large ->
         normalize_length({w / largest, x / largest, y / largest, z / largest})
 
@@ -111,19 +112,19 @@ defmodule Situ.Quaternion do
     end
   end
 
-  @doc "The angle in radians, `0.0..pi`, of the rotation from `a` to `b`."
+  @doc "Returns the angle in radians, `0.0..pi`, of the rotation from `a` to `b`."
   @spec angle(t(), t()) :: float()
   def angle(a, b), do: a |> inverse() |> multiply(b) |> to_axis_angle() |> elem(1)
 
   @doc """
-  The rotation on the shortest arc from `a` (ratio 0) to `b` (ratio 1), at constant speed; other ratios extrapolate.
+  Interpolates on the shortest arc from `a` (ratio 0) to `b` (ratio 1) at constant speed; other ratios extrapolate.
   Source: K. Shoemake, Animating Rotation with Quaternion Curves, 1985.
   """
   @spec slerp(t(), t(), number()) :: t()
   def slerp({aw, ax, ay, az}, {bw, bx, by, bz}, ratio)
       when is_float(aw) and is_float(ax) and is_float(ay) and is_float(az) and is_float(bw) and
              is_float(bx) and is_float(by) and is_float(bz) do
-    # The rotation from a to b; the guards keep all of it in registers.
+    # This is the rotation from a to b; the guards keep all values in registers.
     w = aw * bw + ax * bx + ay * by + az * bz
     x = aw * bx - ax * bw - ay * bz + az * by
     y = aw * by + ax * bz - ay * bw - az * bx
@@ -133,7 +134,7 @@ defmodule Situ.Quaternion do
     if sine < 1.0e-12 do
       {aw, ax, ay, az}
     else
-      # Of the two signs of a rotation the one with the shorter way.
+      # Uses the sign of the quaternion that gives the shorter arc.
       half = if w < 0.0, do: :math.atan2(-sine, -w), else: :math.atan2(sine, w)
       c = :math.cos(ratio * half)
       s = :math.sin(ratio * half) / sine
@@ -147,7 +148,7 @@ defmodule Situ.Quaternion do
 
   defp floats({w, x, y, z}), do: {w * 1.0, x * 1.0, y * 1.0, z * 1.0}
 
-  @doc "The rotation matrix: its columns are where the axes x, y and z go."
+  @doc "Converts the rotation to a matrix whose columns are the rotated x, y and z axes."
   @spec to_matrix(t()) :: matrix()
   def to_matrix({w, x, y, z}) do
     {{1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)},
@@ -156,8 +157,8 @@ defmodule Situ.Quaternion do
   end
 
   @doc """
-  The rotation of a matrix whose columns are unit vectors at right angles, right-handed (within `tolerance`); `:error`
-  for any other. Source: S. W. Shepperd, Quaternion from Rotation Matrix, 1978.
+  Converts a matrix to a rotation. Its columns must be orthogonal unit vectors and right-handed (within `tolerance`);
+  returns `:error` otherwise. Source: S. W. Shepperd, Quaternion from Rotation Matrix, 1978.
   """
   @spec from_matrix(matrix(), float()) :: {:ok, t()} | :error
   def from_matrix({{a, b, c}, {d, e, f}, {g, h, i}} = matrix, tolerance \\ 1.0e-3) do

@@ -1,6 +1,6 @@
 defmodule Situ.Ray3 do
   @moduledoc """
-  A ray in space: where it begins (metres) and where it points (a unit vector).
+  A ray in space: its origin (metres) and its direction (a unit vector).
 
       iex> {:ok, ray} = Situ.Ray3.new({0.0, 0.0, 1.0}, {2.0, 0.0, 0.0})
       iex> Situ.Ray3.point_at(ray, 3)
@@ -13,7 +13,7 @@ defmodule Situ.Ray3 do
 
   @type t :: %__MODULE__{origin: Vector3.t(), direction: Vector3.t()}
 
-  @doc "The ray from `origin` along `direction`, of any length but 0."
+  @doc "Builds the ray from `origin` along `direction`, whose length must not be 0."
   @spec new(Vector3.t(), Vector3.t()) :: {:ok, t()} | {:error, Error.t()}
   def new(origin, direction) do
     case Vector3.normalize(direction) do
@@ -24,12 +24,12 @@ defmodule Situ.Ray3 do
         {:error,
          Error.new(
            :degenerate_ray,
-           "a ray cannot have the direction #{inspect(direction)}: its length is 0"
+           "invalid ray direction #{inspect(direction)}: its length is 0"
          )}
     end
   end
 
-  @doc "The ray along the x axis of a pose: where a camera or a head looks."
+  @doc "Builds the ray along the x axis of a pose, the viewing direction of a camera or head."
   @spec from_pose(Pose.t()) :: t()
   def from_pose(%Pose{} = pose),
     do: %__MODULE__{
@@ -37,12 +37,12 @@ defmodule Situ.Ray3 do
       direction: Quaternion.rotate(pose.rotation, {1.0, 0.0, 0.0})
     }
 
-  @doc "The point at a distance (metres) along the ray."
+  @doc "Returns the point at a distance (metres) along the ray."
   @spec point_at(t(), number()) :: Vector3.t()
   def point_at(%__MODULE__{} = ray, distance),
     do: Vector3.add(ray.origin, Vector3.scale(ray.direction, distance))
 
-  @doc "The ray, given in a pose's own frame, in the frame of the pose."
+  @doc "Transforms the ray from the pose's local frame to the frame in which the pose is given."
   @spec transform(t(), Pose.t()) :: t()
   def transform(%__MODULE__{} = ray, %Pose{} = pose) do
     %__MODULE__{
@@ -51,7 +51,7 @@ defmodule Situ.Ray3 do
     }
   end
 
-  @doc "The distance (metres) of a point from the ray; behind its origin, from the origin."
+  @doc "Returns the distance (metres) from a point to the nearest point of the ray."
   @spec distance(t(), Vector3.t()) :: float()
   def distance(%__MODULE__{} = ray, point) do
     along = point |> Vector3.subtract(ray.origin) |> Vector3.dot(ray.direction)
@@ -59,8 +59,8 @@ defmodule Situ.Ray3 do
   end
 
   @doc """
-  The ray between `a` (ratio 0) and `b` (ratio 1): origins on the straight line, directions blended and made a unit
-  vector again. `nil` where either is `nil`, and where opposite directions leave none.
+  Interpolates between `a` (ratio 0) and `b` (ratio 1): origins on the straight line, directions blended and
+  normalized. Returns `nil` if either is `nil` or if opposite directions cancel out.
   """
   @spec interpolate(t() | nil, t() | nil, number()) :: t() | nil
   def interpolate(%__MODULE__{} = a, %__MODULE__{} = b, ratio) do

@@ -1,9 +1,10 @@
 defmodule Situ.Rect do
   @moduledoc """
-  An upright rectangle in a picture, in pixels from the top left corner; what detectors answer and the studio draws.
+  An axis-aligned rectangle in an image, in pixels from the top left corner. Detectors return rectangles and the
+  studio draws them.
 
-  `x`, `y` are the left and top edge; numbers may be fractions and may lie outside the picture. `label`, `score` (0..1)
-  and `id` (a track) are optional.
+  `x` and `y` are the left and top edges. Numbers may be fractions and may be outside the image. `label`, `score`
+  (0..1) and `id` (of a track) are optional.
 
       iex> face = Situ.Rect.new!(x: 10, y: 20, width: 30, height: 40, label: "face", score: 0.9)
       iex> {Situ.Rect.center(face), Situ.Rect.area(face)}
@@ -24,21 +25,21 @@ defmodule Situ.Rect do
           id: term()
         }
 
-  # Pixels. Products of such numbers are exact enough, and no overflow.
+  # In pixels. Products of such numbers are exact enough and do not overflow.
   @most 1_000_000_000
 
   @schema [
     x: [type: :number, required: true, doc: "Left edge."],
     y: [type: :number, required: true, doc: "Top edge."],
-    width: [type: :number, required: true, doc: "Not negative."],
-    height: [type: :number, required: true, doc: "Not negative."],
+    width: [type: :number, required: true, doc: "Width, 0 or more."],
+    height: [type: :number, required: true, doc: "Height, 0 or more."],
     label: [type: {:optional, :string}, default: nil, doc: "The name of the object inside."],
     score: [type: {:optional, :number}, default: nil, doc: "Confidence, 0..1."],
     id: [type: :any, default: nil, doc: "The identity of the object over time."]
   ]
 
   @doc """
-  A checked rectangle.
+  Builds a validated rectangle.
 
   #{Situ.Options.docs(@schema)}
 
@@ -50,7 +51,7 @@ defmodule Situ.Rect do
   def new(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema) do
       if opts[:width] < 0 or opts[:height] < 0 do
-        what = "a rectangle cannot be #{opts[:width]} by #{opts[:height]}"
+        what = "invalid rectangle size #{opts[:width]} x #{opts[:height]}: it is negative"
         {:error, Error.new(:bad_rect, what)}
       else
         {:ok, struct!(__MODULE__, opts)}
@@ -58,17 +59,17 @@ defmodule Situ.Rect do
     end
   end
 
-  @doc "As `new/1`, but returns the rectangle or raises the error."
+  @doc "Like `new/1`, but returns the rectangle or raises the error."
   @spec new!(keyword()) :: t()
   def new!(opts), do: Situ.Error.unwrap!(new(opts))
 
-  @doc "The rectangle with these edges, without label."
+  @doc "Builds a rectangle from its left edge, top edge, width and height, without a label."
   @spec new!(number(), number(), number(), number()) :: t()
   def new!(x, y, width, height), do: new!(x: x, y: y, width: width, height: height)
 
   @doc """
-  The rectangle itself, when one can calculate with it: numbers within #{@most} of the corner, sizes not negative. For
-  components that get rectangles from anybody. Error: `:bad_rect`, which tells what is wrong.
+  Validates a rectangle from an untrusted source: coordinates must be numbers within #{@most} pixels of the corner,
+  and sizes must not be negative. Error: `:bad_rect`, whose `why` names the invalid field.
 
       iex> Situ.Rect.check(Situ.Rect.new!(0, 0, 2, 2))
       {:ok, Situ.Rect.new!(0, 0, 2, 2)}
@@ -91,9 +92,9 @@ defmodule Situ.Rect do
       end
 
     {:error,
-     Error.new(:bad_rect, "not a rectangle that one can calculate with",
+     Error.new(:bad_rect, "invalid rectangle",
        why: why,
-       fix: "make it by Situ.Rect.new/1, of pixels within #{@most} of the corner"
+       fix: "use Situ.Rect.new/1, with coordinates within #{@most} pixels of the corner"
      )}
   end
 
@@ -105,20 +106,20 @@ defmodule Situ.Rect do
     end)
   end
 
-  @doc "As `check/1`, but returns the rectangle or raises the error."
+  @doc "Like `check/1`, but returns the rectangle or raises the error."
   @spec check!(term()) :: t()
   def check!(rect), do: Error.unwrap!(check(rect))
 
-  @doc "Width times height."
+  @doc "Returns width times height."
   @spec area(t()) :: number()
   def area(%__MODULE__{} = r), do: r.width * r.height
 
-  @doc "The middle."
+  @doc "Returns the center."
   @spec center(t()) :: Point2.t()
   def center(%__MODULE__{} = r), do: %Point2{x: r.x + r.width / 2, y: r.y + r.height / 2}
 
   @doc """
-  The common part, with the first one's label, score and id; `nil` when they do not overlap.
+  Returns the intersection, with the label, score and id of `a`, or `nil` if the rectangles do not overlap.
 
       iex> a = Situ.Rect.new!(0, 0, 4, 4)
       iex> Situ.Rect.intersect(a, Situ.Rect.new!(2, 3, 9, 9))
@@ -136,7 +137,7 @@ defmodule Situ.Rect do
   end
 
   @doc """
-  Overlap of two rectangles: common area over covered area, 0.0..1.0.
+  Returns the intersection over union of two rectangles, 0.0..1.0.
 
       iex> Situ.Rect.iou(Situ.Rect.new!(0, 0, 2, 2), Situ.Rect.new!(1, 0, 2, 2))
       0.3333333333333333
@@ -150,7 +151,7 @@ defmodule Situ.Rect do
   end
 
   @doc """
-  Grown around its middle by a factor.
+  Scales the rectangle around its center.
 
       iex> Situ.Rect.scale_around(Situ.Rect.new!(10, 10, 10, 20), 2)
       %Situ.Rect{x: 5.0, y: 0.0, width: 20, height: 40}
@@ -162,7 +163,7 @@ defmodule Situ.Rect do
     %{grown | x: r.x - (grown.width - w) / 2, y: r.y - (grown.height - h) / 2}
   end
 
-  @doc "Whether the point lies inside; left and top edges do, right and bottom edges do not."
+  @doc "Returns whether the point is inside. Left and top edges count as inside; right and bottom edges do not."
   @spec contains?(t(), Point2.t()) :: boolean()
   def contains?(%__MODULE__{} = r, %Point2{x: x, y: y}),
     do: x >= r.x and y >= r.y and x < r.x + r.width and y < r.y + r.height

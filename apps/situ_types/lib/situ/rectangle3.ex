@@ -1,7 +1,7 @@
 defmodule Situ.Rectangle3 do
   @moduledoc """
-  A flat rectangle in space: the pose of its middle, whose x axis is its normal, and its width (along y) and height
-  (along z), metres.
+  A flat rectangle in space: the pose of its center, whose x axis is the normal, and its width (along y) and height
+  (along z) in metres.
 
       iex> wall = Situ.Rectangle3.new!(Situ.Pose.new({2.0, 0.0, 1.0}), 4, 2)
       iex> {:ok, ray} = Situ.Ray3.new({0.0, 1.0, 1.0}, {1.0, 0.0, 0.0})
@@ -15,45 +15,50 @@ defmodule Situ.Rectangle3 do
 
   @type t :: %__MODULE__{pose: Pose.t(), width: float(), height: float()}
 
-  @doc "The rectangle around a pose; width and height may be 0, not negative."
+  @doc "Builds a rectangle centered at a pose; width and height must be 0 or more."
   @spec new(Pose.t(), number(), number()) :: {:ok, t()} | {:error, Error.t()}
   def new(%Pose{} = pose, width, height) when is_number(width) and is_number(height) do
     if width >= 0 and height >= 0,
       do: {:ok, %__MODULE__{pose: pose, width: width * 1.0, height: height * 1.0}},
-      else: {:error, Error.new(:bad_rectangle, "a rectangle cannot be #{width} m by #{height} m")}
+      else:
+        {:error,
+         Error.new(
+           :bad_rectangle,
+           "invalid rectangle size #{width} m x #{height} m: it must not be negative"
+         )}
   end
 
-  @doc "As `new/3`, but returns the rectangle or raises the error."
+  @doc "Like `new/3`, but returns the rectangle or raises the error."
   @spec new!(Pose.t(), number(), number()) :: t()
   def new!(pose, width, height), do: pose |> new(width, height) |> Error.unwrap!()
 
-  @doc "Top left, top right, bottom right, bottom left, as seen against the normal."
+  @doc "Returns the corners top left, top right, bottom right, bottom left, as seen against the normal."
   @spec corners(t()) :: [Vector3.t()]
   def corners(%__MODULE__{pose: pose, width: w, height: h}) do
     for {y, z} <- [{-w / 2, h / 2}, {w / 2, h / 2}, {w / 2, -h / 2}, {-w / 2, -h / 2}],
         do: Pose.transform(pose, {0.0, y, z})
   end
 
-  @doc "The plane it lies in."
+  @doc "Returns the plane that contains the rectangle."
   @spec plane(t()) :: Plane.t()
   def plane(%__MODULE__{pose: pose}) do
     {normal, _, _} = Pose.axes(pose)
     %Plane{normal: normal, offset: Vector3.dot(normal, pose.position)}
   end
 
-  @doc "Where a ray meets the rectangle; `nil` where it misses."
+  @doc "Returns the point where a ray hits the rectangle, or `nil` if it misses."
   @spec intersection(t(), Ray3.t()) :: Vector3.t() | nil
   def intersection(%__MODULE__{} = rectangle, %Ray3{} = ray) do
     with {_, _, _} = point <- Plane.intersection(plane(rectangle), ray),
          do: if(contains?(rectangle, point, 1.0e-9), do: point)
   end
 
-  @doc "Whether a point lies on the rectangle, or at most `epsilon` (metres) off it."
+  @doc "Returns whether a point is on the rectangle or at most `epsilon` (metres) away from it."
   @spec contains?(t(), Vector3.t(), number()) :: boolean()
   def contains?(%__MODULE__{} = rectangle, point, epsilon \\ 1.0e-6),
     do: Vector3.distance(closest_point(rectangle, point), point) <= epsilon
 
-  @doc "The nearest point of the rectangle."
+  @doc "Returns the point of the rectangle nearest to `point`."
   @spec closest_point(t(), Vector3.t()) :: Vector3.t()
   def closest_point(%__MODULE__{pose: pose, width: w, height: h}, point) do
     {_, y, z} = Pose.transform(Pose.invert(pose), point)
@@ -61,8 +66,8 @@ defmodule Situ.Rectangle3 do
   end
 
   @doc """
-  Where a pixel of a picture of so many pixels lies that fills the rectangle, as seen against the normal: `{0, 0}` is
-  the top left corner, `{width, height}` the bottom right one.
+  Returns the 3D point of a pixel in an image of the given size that covers the rectangle, as seen against the normal.
+  `{0, 0}` is the top left corner, `{width, height}` the bottom right corner.
 
       iex> wall = Situ.Rectangle3.new!(Situ.Pose.new({2.0, 0.0, 1.0}), 4, 2)
       iex> Situ.Rectangle3.from_pixel(wall, {0, 0}, {640, 480})
@@ -78,8 +83,8 @@ defmodule Situ.Rectangle3 do
   end
 
   @doc """
-  The pixel of a picture of so many pixels, which fills the rectangle, where a point lies that is at most `reach`
-  (metres) before or behind it; `nil` of a point that is farther off or beside it, and of a rectangle without an area.
+  Returns the pixel at a 3D point in an image of the given size that covers the rectangle. Returns `nil` if the point
+  is more than `reach` (metres) away from the plane, if it is outside the rectangle, or if the rectangle has no area.
   """
   @spec to_pixel(t(), Vector3.t(), {pos_integer(), pos_integer()}, number()) ::
           {float(), float()} | nil

@@ -1,6 +1,6 @@
 defmodule Situ.Skeleton do
   @moduledoc """
-  A body or a hand as named joints with poses and confidences, and the bones between them.
+  A body or a hand: named joints with poses and confidences, and the bones that connect them.
 
       iex> joints = %{head: Situ.Pose.new({0.0, 0.0, 1.7}), neck: Situ.Pose.new({0.0, 0.0, 1.5})}
       iex> body = Situ.Skeleton.new!(joints, [{:head, :neck}])
@@ -24,16 +24,16 @@ defmodule Situ.Skeleton do
         }
 
   @schema [
-    id: [type: :any, default: nil, doc: "Which body, through time."],
+    id: [type: :any, default: nil, doc: "The identity of the body over time."],
     confidence: [
       type: :map,
       default: %{},
-      doc: "How sure, 0..1, by joint; 1 where it says nothing."
+      doc: "Confidence by joint, 0..1; 1 for joints that are not listed."
     ]
   ]
 
   @doc """
-  A skeleton of these joints, whose bones join joints that it has.
+  Builds a skeleton. Each bone must connect two joints in `joints`.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -49,22 +49,21 @@ defmodule Situ.Skeleton do
         error
 
       bone ->
-        {:error,
-         Error.new(:bad_skeleton, "the bone #{inspect(bone)} names a joint that is not there")}
+        {:error, Error.new(:bad_skeleton, "the bone #{inspect(bone)} refers to a missing joint")}
     end
   end
 
-  @doc "As `new/3`, but returns the skeleton or raises the error."
+  @doc "Like `new/3`, but returns the skeleton or raises the error."
   @spec new!(%{joint() => Pose.t()}, [{joint(), joint()}], keyword()) :: t()
   def new!(joints, bones, opts \\ []), do: joints |> new(bones, opts) |> Error.unwrap!()
 
-  @doc "Where a joint is; `nil` where the skeleton has no such joint."
+  @doc "Returns the position of a joint, or `nil` if the joint does not exist."
   @spec position(t(), joint()) :: Vector3.t() | nil
   def position(%__MODULE__{joints: joints}, joint) do
     with %Pose{position: position} <- joints[joint], do: position
   end
 
-  @doc "The skeleton, given in a pose's own frame, in the frame of the pose."
+  @doc "Transforms the skeleton from the pose's local frame to the frame in which the pose is given."
   @spec transform(t(), Pose.t()) :: t()
   def transform(%__MODULE__{} = skeleton, %Pose{} = pose),
     do: %{
@@ -73,7 +72,10 @@ defmodule Situ.Skeleton do
           Map.new(skeleton.joints, fn {name, joint} -> {name, Pose.compose(pose, joint)} end)
     }
 
-  @doc "The skeleton between `a` (ratio 0) and `b` (ratio 1): joints that both have, each as `Situ.Pose.interpolate/3`."
+  @doc """
+  Interpolates between `a` (ratio 0) and `b` (ratio 1). The result has the joints that both have, each interpolated
+  with `Situ.Pose.interpolate/3`. Returns `nil` if either is `nil`.
+  """
   @spec interpolate(t() | nil, t() | nil, number()) :: t() | nil
   def interpolate(%__MODULE__{} = a, %__MODULE__{} = b, ratio) do
     joints =

@@ -1,12 +1,13 @@
 defmodule Situ.Telemetry do
   @moduledoc """
-  Events the platform emits, in the shapes of the `:telemetry` library.
+  Emits the events of the platform in the format of the `:telemetry` library.
 
-  `:telemetry` itself is not a dependency. Handlers and events have its shapes, so a host that has it forwards with
+  `:telemetry` itself is not a dependency. Handlers and events have the same form, so a host application that uses it
+  can forward events:
 
       Situ.Telemetry.attach("forward", [:situ, :pipeline, :stop], &:telemetry.execute/3 |> ..., nil)
 
-  A handler that raises is detached and logged once: a broken observer never takes a stream down.
+  A handler that raises is detached and logged once, so a broken observer cannot stop a stream.
 
   | event | measurements | metadata |
   |---|---|---|
@@ -30,7 +31,7 @@ defmodule Situ.Telemetry do
   @type event :: [atom(), ...]
   @type handler :: (event(), map(), map(), term() -> any())
 
-  @doc "Creates the handler table; called once by the application."
+  @doc "Creates the handler table. The application calls it once."
   @spec setup() :: :ok
   def setup do
     if :ets.whereis(@table) == :undefined do
@@ -53,7 +54,7 @@ defmodule Situ.Telemetry do
     end
   end
 
-  @doc "Detaches the handler of this `id`."
+  @doc "Detaches the handler with this `id`."
   @spec detach(term()) :: :ok | {:error, :not_found}
   def detach(id) do
     case :ets.match_object(@table, {:_, id, :_, :_}) do

@@ -1,9 +1,9 @@
 defmodule Situ.Tensor do
   @moduledoc """
-  A tensor: a binary of numbers with its element type and shape beside it.
+  A tensor: a binary of numbers with its element type and shape.
 
-  Elements are row major (the last dimension runs fastest) in native byte order, which is what ONNX Runtime and Nx
-  use, so nothing is copied on the way there. `shape` is a tuple of dimensions; `{}` is a scalar.
+  Elements are in row-major order (the last dimension varies fastest) and native byte order. ONNX Runtime and Nx use
+  the same layout, so no copy is needed. `shape` is a tuple of dimensions; `{}` is a scalar.
 
       iex> t = Situ.Tensor.from_list([1.0, 2.0, 3.0, 4.0], :f32, {2, 2})
       iex> Situ.Tensor.to_list(t)
@@ -11,14 +11,14 @@ defmodule Situ.Tensor do
       iex> Situ.Tensor.reshape(t, {4}).shape
       {4}
 
-  With the `nx` package in the host application, `to_nx/1` and `from_nx/1` convert without copying.
+  If the host application has the `nx` package, `to_nx/1` and `from_nx/1` convert tensors without copying.
   """
   @behaviour Situ.Codec
 
-  # Nx is there when the application brings it.
+  # Nx is only available if the host application depends on it.
   @compile {:no_warn_undefined, [Nx]}
 
-  # Their places are written into files: new ones go to the end.
+  # The index of a type is written to files, so new types must be appended.
   @types [:f32, :f64, :s8, :s16, :s32, :s64, :u8, :u16, :u32, :u64, :bool, :f16, :bf16]
   @sizes %{f32: 4, f64: 8, s8: 1, s16: 2, s32: 4, s64: 8, u8: 1, u16: 2, u32: 4, u64: 8, bool: 1}
          |> Map.merge(%{f16: 2, bf16: 2})
@@ -31,10 +31,10 @@ defmodule Situ.Tensor do
   @type t :: %__MODULE__{type: element_type(), shape: tuple(), data: binary()}
 
   @doc """
-  Wraps `data`; raises `ArgumentError` unless its size is that of `shape` elements of `type`.
+  Builds a tensor from `data`; raises `ArgumentError` if the size of `data` does not match `shape` and `type`.
 
       iex> Situ.Tensor.new(<<0::64>>, :f32, {3})
-      ** (ArgumentError) 8 bytes do not fill a tensor of {3} f32: that takes 12
+      ** (ArgumentError) 8 bytes do not match a tensor of {3} f32, which takes 12
   """
   @spec new(binary(), element_type(), tuple()) :: t()
   def new(data, type, shape) when is_binary(data) and type in @types and is_tuple(shape) do
@@ -42,20 +42,20 @@ defmodule Situ.Tensor do
 
     if byte_size(data) != wanted do
       raise ArgumentError,
-            "#{byte_size(data)} bytes do not fill a tensor of #{inspect(shape)} #{type}: that takes #{wanted}"
+            "#{byte_size(data)} bytes do not match a tensor of #{inspect(shape)} #{type}, which takes #{wanted}"
     end
 
     %__MODULE__{type: type, shape: shape, data: data}
   end
 
-  @doc "A tensor of zeros."
+  @doc "Builds a tensor of zeros."
   @spec zeros(element_type(), tuple()) :: t()
   def zeros(type, shape) do
     new(:binary.copy(<<0>>, count(shape) * Map.fetch!(@sizes, type)), type, shape)
   end
 
   @doc """
-  A tensor from numbers (or booleans, for `:bool`) in row-major order.
+  Builds a tensor from numbers (or booleans, for `:bool`) in row-major order.
 
       iex> Situ.Tensor.from_list([16_000], :s64, {}).data
       <<16_000::64-native>>
@@ -66,7 +66,7 @@ defmodule Situ.Tensor do
   end
 
   @doc """
-  The elements in row-major order.
+  Returns the elements in row-major order.
 
       iex> [true, false] |> Situ.Tensor.from_list(:bool, {2}) |> Situ.Tensor.to_list()
       [true, false]
@@ -74,12 +74,12 @@ defmodule Situ.Tensor do
   @spec to_list(t()) :: [number() | boolean()]
   def to_list(%__MODULE__{type: type, data: data}), do: unpack(data, type)
 
-  @doc "The same elements under another shape of the same count."
+  @doc "Returns a tensor with the same elements and another shape, which must have the same number of elements."
   @spec reshape(t(), tuple()) :: t()
   def reshape(%__MODULE__{} = t, shape), do: new(t.data, t.type, shape)
 
   @doc """
-  How many elements `shape` has.
+  Returns the number of elements in a tensor of this shape.
 
       iex> Situ.Tensor.count({2, 3, 4})
       24
@@ -88,7 +88,7 @@ defmodule Situ.Tensor do
   def count(shape), do: shape |> Tuple.to_list() |> Enum.product()
 
   @doc """
-  Stacks tensors of one type along their first dimension; the other dimensions must be equal.
+  Concatenates tensors of the same type along the first dimension; the other dimensions must be equal.
 
       iex> a = Situ.Tensor.from_list([1, 2], :s8, {1, 2})
       iex> Situ.Tensor.concat([a, a]).shape
@@ -100,7 +100,7 @@ defmodule Situ.Tensor do
 
     unless Enum.all?(tensors, &(&1.type == first.type and Tuple.delete_at(&1.shape, 0) == rest)) do
       raise ArgumentError,
-            "only tensors of one type and one inner shape stack: " <>
+            "tensors must have the same type and inner shape to be concatenated: " <>
               Enum.map_join(tensors, ", ", &"#{&1.type} #{inspect(&1.shape)}")
     end
 
@@ -110,7 +110,8 @@ defmodule Situ.Tensor do
   end
 
   @doc """
-  Cuts along the first dimension into tensors of `sizes` rows each; they share the bytes.
+  Splits the tensor along the first dimension into tensors of `sizes` rows each. The parts share memory with the
+  tensor.
 
       iex> Situ.Tensor.from_list([1, 2, 3], :s8, {3}) |> Situ.Tensor.split([2, 1]) |> Enum.map(& &1.shape)
       [{2}, {1}]
@@ -120,7 +121,7 @@ defmodule Situ.Tensor do
     rows = elem(t.shape, 0)
 
     unless Enum.sum(sizes) == rows do
-      raise ArgumentError, "#{inspect(sizes)} does not add up to the #{rows} rows there are"
+      raise ArgumentError, "the sizes #{inspect(sizes)} do not add up to #{rows} rows"
     end
 
     bytes = div(byte_size(t.data), max(rows, 1))
@@ -136,19 +137,19 @@ defmodule Situ.Tensor do
   end
 
   @doc """
-  An `Nx.Tensor` over the same bytes. Raises `ArgumentError` without the `nx` package, and for a tensor without
-  elements, which Nx does not have.
+  Converts to an `Nx.Tensor` without copying. Raises `ArgumentError` if the `nx` package is missing or if the tensor
+  has no elements, which Nx does not support.
   """
   @spec to_nx(t()) :: struct()
   def to_nx(%__MODULE__{data: <<>>} = t),
-    do: raise(ArgumentError, "Nx has no tensors without elements, as #{inspect(t.shape)} is")
+    do: raise(ArgumentError, "Nx has no tensors without elements: #{inspect(t.shape)}")
 
   def to_nx(%__MODULE__{} = t) do
     nx = nx!()
     nx.from_binary(t.data, nx_type(t.type)) |> nx.reshape(t.shape)
   end
 
-  @doc "The tensor of an `Nx.Tensor`."
+  @doc "Converts an `Nx.Tensor` to a tensor."
   @spec from_nx(struct()) :: t()
   def from_nx(tensor) do
     nx = nx!()
@@ -156,20 +157,20 @@ defmodule Situ.Tensor do
     new(nx.to_binary(tensor), element_type!(kind, bits), nx.shape(tensor))
   end
 
-  # Nx has no booleans: theirs are bytes.
+  # Nx has no boolean type and represents booleans as bytes.
   defp nx_type(:bool), do: :u8
   defp nx_type(type), do: type
 
   defp element_type!(kind, bits) do
     Enum.find(@types, &(Atom.to_string(&1) == "#{kind}#{bits}")) ||
-      raise ArgumentError, "no tensor of #{kind}#{bits} here; types: #{inspect(@types)}"
+      raise ArgumentError, "unsupported element type #{kind}#{bits}; types: #{inspect(@types)}"
   end
 
   defp nx! do
     if Code.ensure_loaded?(Nx) do
       Nx
     else
-      raise ArgumentError, "converting needs the nx package in your application"
+      raise ArgumentError, "the conversion needs the nx package in your application"
     end
   end
 
@@ -200,7 +201,7 @@ defmodule Situ.Tensor do
   defp pack(false, :bool), do: <<0>>
   defp pack(x, :f16), do: <<x::float-native-16>>
 
-  # The upper half of a 32-bit float, rounded to the nearest, ties to even.
+  # A bfloat16 is the upper half of a 32-bit float, rounded to nearest, ties to even.
   defp pack(x, :bf16) do
     <<bits::32>> = <<x::float-32>>
     even = Bitwise.band(Bitwise.bsr(bits, 16), 1)
@@ -215,7 +216,7 @@ defmodule Situ.Tensor do
   defp pack(x, type) when type in [:s32, :u32], do: <<x::native-32>>
   defp pack(x, type) when type in [:s64, :u64], do: <<x::native-64>>
 
-  # NaN and the infinities have no Erlang float: they become atoms, so that nothing is silently lost.
+  # Erlang floats cannot hold NaN or infinities, so they are decoded as atoms.
   defp unpack(data, :f32), do: for(<<bits::binary-4 <- data>>, do: float32(bits))
   defp unpack(data, :f64), do: for(<<bits::binary-8 <- data>>, do: float64(bits))
   defp unpack(data, :f16), do: for(<<bits::binary-2 <- data>>, do: float16(bits))

@@ -2,8 +2,9 @@ defmodule Situ.Time do
   @moduledoc """
   Time points and durations as integer nanoseconds.
 
-  A time point is nanoseconds since the Unix epoch, UTC (what `System.os_time(:nanosecond)` gives); a duration is a
-  plain integer of nanoseconds. Both are integers, so that ROS, MCAP and 100 ns times survive unchanged.
+  A time point is the number of nanoseconds since the Unix epoch, UTC, as returned by `System.os_time(:nanosecond)`. A
+  duration is a number of nanoseconds. Both are integers, so times from ROS and MCAP and 100 ns ticks keep full
+  precision.
 
       iex> Situ.Time.ms(250)
       250_000_000
@@ -16,32 +17,32 @@ defmodule Situ.Time do
   @typedoc "A duration in nanoseconds."
   @type duration :: integer()
 
-  @doc "Nanoseconds as they are (for reading: `Situ.Time.ns(5)`)."
+  @doc "Returns nanoseconds unchanged, for readability: `Situ.Time.ns(5)`."
   @spec ns(integer()) :: duration()
   def ns(n) when is_integer(n), do: n
 
-  @doc "Microseconds; fractions are rounded to the nearest nanosecond."
+  @doc "Converts microseconds to nanoseconds, rounded to the nearest."
   @spec us(number()) :: duration()
   def us(n), do: scale(n, 1_000)
 
-  @doc "Milliseconds; fractions are rounded to the nearest nanosecond."
+  @doc "Converts milliseconds to nanoseconds, rounded to the nearest."
   @spec ms(number()) :: duration()
   def ms(n), do: scale(n, 1_000_000)
 
-  @doc "Seconds; fractions are rounded to the nearest nanosecond."
+  @doc "Converts seconds to nanoseconds, rounded to the nearest."
   @spec s(number()) :: duration()
   def s(n), do: scale(n, 1_000_000_000)
 
-  @doc "Minutes."
+  @doc "Converts minutes to nanoseconds."
   @spec min(number()) :: duration()
   def min(n), do: scale(n, 60_000_000_000)
 
-  @doc "Hours."
+  @doc "Converts hours to nanoseconds."
   @spec h(number()) :: duration()
   def h(n), do: scale(n, 3_600_000_000_000)
 
   @doc """
-  Ticks of 100 ns, the unit of \\\\psi.
+  Converts ticks of 100 ns, the time unit of \\\\psi, to nanoseconds.
 
       iex> Situ.Time.ticks(3)
       300
@@ -49,12 +50,12 @@ defmodule Situ.Time do
   @spec ticks(integer()) :: duration()
   def ticks(n) when is_integer(n), do: n * 100
 
-  @doc "The wall clock now. Pipelines read their own clock instead (`Situ.Pipeline.now/1`)."
+  @doc "Returns the current wall clock time. Pipelines use their own clock instead (`Situ.Pipeline.now/1`)."
   @spec now() :: t()
   def now, do: :os.system_time()
 
   @doc """
-  A time point as ISO 8601 with nine decimals.
+  Formats a time point as ISO 8601 with nine decimals.
 
       iex> Situ.Time.to_iso8601(1_500_000_000)
       "1970-01-01T00:00:01.500000000Z"
@@ -72,7 +73,7 @@ defmodule Situ.Time do
 
   @day 86_400
 
-  # From 1970 until 9999, where most times are, by whole days since the March of a leap year's century.
+  # A fast path for 1970 to 9999. It counts days in 400-year eras that begin on March 1.
   defp date(seconds) when seconds in 0..253_402_300_799 do
     {days, second} = {div(seconds, @day), rem(seconds, @day)}
     days = days + 719_468
@@ -92,11 +93,11 @@ defmodule Situ.Time do
   defp date(seconds),
     do: seconds |> DateTime.from_unix!() |> DateTime.to_naive() |> NaiveDateTime.to_iso8601()
 
-  # Two digits as characters.
+  # Returns two digits as a 16-bit integer of two characters.
   defp two(n), do: (div(n, 10) + ?0) * 256 + rem(n, 10) + ?0
 
   @doc """
-  Parses ISO 8601 with any number of decimals (digits past the ninth are cut).
+  Parses ISO 8601 with any number of decimals; digits after the ninth are ignored.
 
       iex> Situ.Time.parse("1970-01-01T00:00:01.5Z")
       {:ok, 1_500_000_000}
@@ -122,7 +123,7 @@ defmodule Situ.Time do
   end
 
   @doc """
-  A duration for people, three significant digits and a unit.
+  Formats a duration for people, with three significant digits and a unit.
 
       iex> Situ.Time.format_duration(1_234_567)
       "1.23 ms"
@@ -160,7 +161,7 @@ defmodule Situ.Time do
   defp digits(value) when value >= 10, do: :erlang.float_to_binary(value, decimals: 1)
   defp digits(value), do: :erlang.float_to_binary(value, decimals: 2)
 
-  # A regex leaves trailing groups out when they matched nothing.
+  # `Regex.run/3` omits trailing groups that did not match.
   defp pad(nil), do: nil
   defp pad([all, whole]), do: [all, whole, "", ""]
   defp pad([all, whole, fraction]), do: [all, whole, fraction, ""]

@@ -1,9 +1,9 @@
 defmodule Situ.Transform do
   @moduledoc """
-  Where one frame of reference lies in another: what a stream of frames is made of (one, or a list of them, a message).
+  The pose of one frame of reference in another. Frame streams carry one transform, or a list of them, per message.
 
-  `pose` takes coordinates of `frame` to those of `parent`. A static one holds at all times, any other at the message's
-  originating time.
+  `pose` maps coordinates in `frame` to coordinates in `parent`. A static transform is valid at all times; other
+  transforms are valid at the originating time of their message.
 
       iex> Situ.Transform.new("camera", "robot", Situ.Pose.new({0.2, 0.0, 1.1})).static
       false
@@ -20,10 +20,10 @@ defmodule Situ.Transform do
           static: boolean()
         }
 
-  @schema [static: [type: :boolean, default: false, doc: "Whether it holds at all times."]]
+  @schema [static: [type: :boolean, default: false, doc: "Whether it is valid at all times."]]
 
   @doc """
-  The place of `frame` in `parent`.
+  Builds the transform from `frame` to `parent`.
 
   #{Situ.Options.docs(@schema)}
   """

@@ -1,7 +1,7 @@
 defmodule Situ.Triangle3 do
   @moduledoc """
-  Triangles in space, as tuples of their three corners: whether a point lies on one, where a ray meets it, which of its
-  points is nearest. `Situ.Mesh` is many of them.
+  Calculations on triangles in space, which are tuples of three corners: containment, ray intersection and nearest
+  point. `Situ.Mesh` holds many triangles.
 
       iex> triangle = {{0.0, 0.0, 0.0}, {2.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}
       iex> Situ.Triangle3.contains?(triangle, {0.5, 0.5, 0.0})
@@ -13,13 +13,13 @@ defmodule Situ.Triangle3 do
 
   @type t :: {Vector3.t(), Vector3.t(), Vector3.t()}
 
-  @doc "Whether a point lies on the triangle, its edges included, or at most `epsilon` (metres) off it."
+  @doc "Returns whether a point is on the triangle, including its edges, or at most `epsilon` (metres) away from it."
   @spec contains?(t(), Vector3.t(), number()) :: boolean()
   def contains?(triangle, point, epsilon \\ 1.0e-6),
     do: Vector3.distance(closest_point(triangle, point), point) <= epsilon
 
   @doc """
-  The nearest point of the triangle. Source: C. Ericson, Real-Time Collision Detection, 2005, 5.1.5.
+  Returns the point of the triangle nearest to `p`. Source: C. Ericson, Real-Time Collision Detection, 2005, 5.1.5.
   """
   @spec closest_point(t(), Vector3.t()) :: Vector3.t()
   def closest_point({a, b, c}, p) do
@@ -42,7 +42,7 @@ defmodule Situ.Triangle3 do
 
   defp along(ab, ac, way), do: [Vector3.dot(ab, way), Vector3.dot(ac, way)]
 
-  # An edge without length is its end.
+  # The nearest point on an edge of length 0 is its start.
   defp between(from, _to, _way, length) when length == 0, do: from
   defp between(from, to, way, length), do: Vector3.lerp(from, to, way / length)
 
@@ -52,8 +52,8 @@ defmodule Situ.Triangle3 do
   end
 
   @doc """
-  How far along a ray (metres) it meets the triangle, from either side; `nil` where it misses or runs beside it. Source:
-  T. Moeller, B. Trumbore, Fast, Minimum Storage Ray/Triangle Intersection, 1997.
+  Returns the distance (metres) along a ray to the triangle, from either side, or `nil` if the ray misses or is
+  parallel. Source: T. Moeller, B. Trumbore, Fast, Minimum Storage Ray/Triangle Intersection, 1997.
 
       iex> {:ok, ray} = Situ.Ray3.new({0.5, 0.5, 3.0}, {0.0, 0.0, -1.0})
       iex> Situ.Triangle3.intersection({{0.0, 0.0, 0.0}, {2.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}, ray)
@@ -65,7 +65,7 @@ defmodule Situ.Triangle3 do
     across = Vector3.cross(direction, ac)
     determinant = Vector3.dot(ab, across)
 
-    # relative to the triangle's size, so that small ones are met, too
+    # The limit is relative to the size of the triangle so that rays hit small triangles, too.
     if abs(determinant) > 1.0e-12 * Vector3.norm(ab) * Vector3.norm(ac) do
       from = Vector3.subtract(origin, a)
       u = Vector3.dot(from, across) / determinant

@@ -1,10 +1,10 @@
 defmodule Situ.Type do
   @moduledoc """
-  Types of ports: what may be connected to what, and whether a value is what it claims to be.
+  Types of ports. They decide whether an output may be connected to an input, and whether a value is valid.
 
   A type is `:any`, `:integer`, `:float`, `:number`, `:boolean`, `:string`, `:binary`, `:atom`, `:map`, `:pid`, a
-  struct's module, `{:list, t}`, `{:tuple, [t]}`, `{:map, key, value}`, `{:optional, t}` (the type or `nil`), `{:in,
-  values}`, `{:or, [t]}` or `{:message, t}` (a `Situ.Message` with such data).
+  struct's module, `{:list, t}`, `{:tuple, [t]}`, `{:map, key, value}`, `{:optional, t}` (the type or `nil`),
+  `{:in, values}`, `{:or, [t]}` or `{:message, t}` (a `Situ.Message` whose data has type `t`).
 
       iex> Situ.Type.accepts?(:number, :integer)
       true
@@ -21,7 +21,7 @@ defmodule Situ.Type do
   @simple [:any, :integer, :float, :number, :boolean, :string, :binary, :atom, :map, :list] ++
             [:tuple, :function, :pid]
 
-  @doc "Whether an input of type `to` may be fed by an output of type `from`. `:any` on either side passes."
+  @doc "Returns whether an output of type `from` may feed an input of type `to`. `:any` on either side always matches."
   @spec accepts?(to :: t(), from :: t()) :: boolean()
   def accepts?(:any, _from), do: true
   def accepts?(_to, :any), do: true
@@ -55,7 +55,7 @@ defmodule Situ.Type do
 
   def accepts?(_to, _from), do: false
 
-  @doc "Whether `value` is of the type; containers are checked element by element."
+  @doc "Returns whether `value` has the type; containers are checked element by element."
   @spec valid?(t(), term()) :: boolean()
   def valid?(:any, _), do: true
   def valid?(:integer, v), do: is_integer(v)
@@ -88,7 +88,7 @@ defmodule Situ.Type do
   def valid?(module, v) when is_atom(module), do: is_struct(v, module)
   def valid?(_type, _v), do: false
 
-  @doc "Whether this term is a type at all (for errors at `add` instead of surprises later)."
+  @doc "Returns whether a term is a valid type, so that adding a port fails early if it is not."
   @spec type?(term()) :: boolean()
   def type?(type) when is_atom(type), do: type not in [nil, true, false]
   def type?({kind, type}) when kind in [:list, :optional, :message], do: type?(type)
@@ -100,7 +100,7 @@ defmodule Situ.Type do
   def type?({:map, k, v}), do: type?(k) and type?(v)
   def type?(_), do: false
 
-  @doc "The type in words, for errors and pictures."
+  @doc "Formats a type for errors and diagrams."
   @spec to_string(t()) :: String.t()
   def to_string({:list, t}), do: "list of " <> __MODULE__.to_string(t)
   def to_string({:optional, t}), do: __MODULE__.to_string(t) <> " or nil"

@@ -2,52 +2,52 @@ defmodule Situ.Vector3 do
   @moduledoc """
   Arithmetic on directions and displacements in space, as tuples `{x, y, z}` of floats.
 
-  Tuples are what `Situ.Pose`, `Situ.Ray3` and the other shapes of space hold; `Situ.Point3` is a named point in a
-  stream.
+  `Situ.Pose`, `Situ.Ray3` and the other 3D shapes hold tuples like these; `Situ.Point3` is a point struct for use in
+  streams.
 
       iex> Situ.Vector3.cross({1.0, 0.0, 0.0}, {0.0, 1.0, 0.0})
       {0.0, 0.0, 1.0}
   """
   @type t :: {float(), float(), float()}
 
-  @doc "The vector of three numbers, as floats."
+  @doc "Builds a vector of floats from three numbers."
   @spec new(number(), number(), number()) :: t()
   def new(x, y, z) when is_number(x) and is_number(y) and is_number(z),
     do: {x * 1.0, y * 1.0, z * 1.0}
 
-  @doc "Sum."
+  @doc "Adds two vectors."
   @spec add(t(), t()) :: t()
   def add({ax, ay, az}, {bx, by, bz}), do: {ax + bx, ay + by, az + bz}
 
-  @doc "Difference, `a - b`."
+  @doc "Subtracts `b` from `a`."
   @spec subtract(t(), t()) :: t()
   def subtract({ax, ay, az}, {bx, by, bz}), do: {ax - bx, ay - by, az - bz}
 
-  @doc "The vector times a number."
+  @doc "Multiplies a vector by a number."
   @spec scale(t(), number()) :: t()
   def scale({x, y, z}, by), do: {x * by, y * by, z * by}
 
-  @doc "Scalar product."
+  @doc "Returns the dot product."
   @spec dot(t(), t()) :: float()
   def dot({ax, ay, az}, {bx, by, bz}), do: ax * bx + ay * by + az * bz
 
-  @doc "Vector product, right-handed."
+  @doc "Returns the right-handed cross product."
   @spec cross(t(), t()) :: t()
   def cross({ax, ay, az}, {bx, by, bz}),
     do: {ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx}
 
-  @doc "Length."
+  @doc "Returns the length."
   @spec norm(t()) :: float()
   def norm(v), do: :math.sqrt(dot(v, v))
 
-  @doc "Straight-line distance."
+  @doc "Returns the Euclidean distance."
   @spec distance(t(), t()) :: float()
   def distance(a, b), do: a |> subtract(b) |> norm()
 
   @large 1.0e100
 
   @doc """
-  The vector of length 1 in the same direction; `:error` for a vector too short to have one (below 1e-12).
+  Returns the unit vector in the same direction, or `:error` if the vector is too short (below 1e-12).
 
       iex> Situ.Vector3.normalize({0.0, 0.0, 2.0})
       {:ok, {0.0, 0.0, 1.0}}
@@ -59,7 +59,7 @@ defmodule Situ.Vector3 do
   @spec normalize(t()) :: {:ok, t()} | :error
   def normalize({x, y, z} = v) do
     case max(abs(x), max(abs(y), abs(z))) do
-      # The squares of such numbers are out of range.
+      # Squares of numbers this large would overflow.
       largest when largest > @large ->
         normalize_length({x / largest, y / largest, z / largest})
 
@@ -75,7 +75,7 @@ defmodule Situ.Vector3 do
     end
   end
 
-  @doc "The vector on the straight line from `a` (ratio 0) to `b` (ratio 1); other ratios extrapolate."
+  @doc "Interpolates linearly from `a` (ratio 0) to `b` (ratio 1); other ratios extrapolate."
   @spec lerp(t(), t(), number()) :: t()
   def lerp({ax, ay, az}, {bx, by, bz}, ratio),
     do: {ax + (bx - ax) * ratio, ay + (by - ay) * ratio, az + (bz - az) * ratio}

@@ -1,8 +1,8 @@
 defmodule Situ.Velocity3 do
   @moduledoc """
-  How fast and where to something moves (`:linear`, metres a second) or turns (`:angular`, radians a second around the
-  direction), and where it is: its place, and how it is turned (`rotation`) where it turns. `Situ.PoseVelocity` is both
-  at once.
+  The velocity of an object: `:linear` (metres per second along a direction) or `:angular` (radians per second around
+  an axis), with the object's position and, for angular velocities, its `rotation`. `Situ.PoseVelocity` holds both
+  velocities.
 
       iex> a = Situ.Pose.identity()
       iex> b = Situ.Pose.new({0.0, 1.0, 0.0})
@@ -23,7 +23,7 @@ defmodule Situ.Velocity3 do
           rotation: Quaternion.t() | nil
         }
 
-  @doc "The velocity between two poses that are `duration` ns apart, at the later one. Rest has the direction x."
+  @doc "Returns the linear velocity between two poses `duration` ns apart, at the later pose; at rest, along x."
   @spec linear(Pose.t(), Pose.t(), Situ.Time.duration()) :: {:ok, t()} | {:error, Error.t()}
   def linear(%Pose{} = from, %Pose{} = to, duration) do
     moved = Vector3.subtract(to.position, from.position)
@@ -32,7 +32,7 @@ defmodule Situ.Velocity3 do
     new(:linear, to.position, direction, Vector3.norm(moved), duration)
   end
 
-  @doc "The rate of turning between two poses that are `duration` ns apart, at the later one."
+  @doc "Returns the angular velocity between two poses `duration` ns apart, at the later one."
   @spec angular(Pose.t(), Pose.t(), Situ.Time.duration()) :: {:ok, t()} | {:error, Error.t()}
   def angular(%Pose{} = from, %Pose{} = to, duration) do
     {axis, angle} =
@@ -57,12 +57,13 @@ defmodule Situ.Velocity3 do
   defp new(_kind, _origin, _direction, _moved, duration),
     do:
       {:error,
-       Error.new(:bad_duration, "no velocity over #{inspect(duration)} ns",
-         why: "time must have passed"
+       Error.new(:bad_duration, "cannot compute a velocity over #{inspect(duration)} ns",
+         why: "the duration must be a positive integer"
        )}
 
   @doc """
-  Where something that moves on like this is after `duration` ns; of something that turns, how it is turned then.
+  Extrapolates by `duration` ns at constant velocity. Returns the position for a linear velocity and the rotation for
+  an angular one.
 
       iex> turned = Situ.Pose.new({0.0, 0.0, 0.0}, Situ.Quaternion.from_euler(0.5, 0, 0))
       iex> {:ok, velocity} = Situ.Velocity3.angular(Situ.Pose.identity(), turned, Situ.Time.ms(500))

@@ -1,6 +1,6 @@
 defmodule Situ.VoxelGrid do
   @moduledoc """
-  Values in cubes of space: the cube of a point has the indices `floor(coordinate / size)`.
+  A sparse grid of values in cubes of space. The cube of a point has the indices `floor(coordinate / size)`.
 
       iex> grid = Situ.VoxelGrid.new(0.5) |> Situ.VoxelGrid.update({0.6, -0.1, 0.0}, 1, &(&1 + 1))
       iex> Situ.VoxelGrid.fetch(grid, {0.9, -0.4, 0.2})
@@ -15,35 +15,35 @@ defmodule Situ.VoxelGrid do
   @type t :: t(term())
   @type t(value) :: %__MODULE__{size: float(), voxels: %{index() => value}}
 
-  @doc "An empty grid of cubes with edges of `size` metres."
+  @doc "Builds an empty grid of cubes with edges of `size` metres."
   @spec new(number()) :: t()
   def new(size) when is_number(size) and size > 0, do: %__MODULE__{size: size * 1.0}
 
-  @doc "The indices of the cube that holds a point."
+  @doc "Returns the indices of the cube that contains a point."
   @spec index(t(), Vector3.t()) :: index()
   def index(%__MODULE__{size: size}, {x, y, z}),
     do: {floor(x / size), floor(y / size), floor(z / size)}
 
-  @doc "The middle of a cube."
+  @doc "Returns the center of a cube."
   @spec center(t(), index()) :: Vector3.t()
   def center(%__MODULE__{size: size}, {i, j, k}),
     do: {(i + 0.5) * size, (j + 0.5) * size, (k + 0.5) * size}
 
-  @doc "Puts a value into the cube of a point."
+  @doc "Puts a value into the cube that contains a point."
   @spec put(t(), Vector3.t(), term()) :: t()
   def put(%__MODULE__{} = grid, point, value),
     do: %{grid | voxels: Map.put(grid.voxels, index(grid, point), value)}
 
-  @doc "`initial` in the cube of a point, or what `fun` makes of the value that is there."
+  @doc "Applies `fun` to the value in the cube that contains a point, or puts `initial` if the cube is empty."
   @spec update(t(), Vector3.t(), term(), (term() -> term())) :: t()
   def update(%__MODULE__{} = grid, point, initial, fun),
     do: %{grid | voxels: Map.update(grid.voxels, index(grid, point), initial, fun)}
 
-  @doc "The value in the cube of a point."
+  @doc "Returns the value in the cube that contains a point."
   @spec fetch(t(), Vector3.t()) :: {:ok, term()} | :error
   def fetch(%__MODULE__{} = grid, point), do: Map.fetch(grid.voxels, index(grid, point))
 
-  @doc "The grid without the cubes for which `fun.(center, value)` is true."
+  @doc "Removes the cubes for which `fun.(center, value)` is true."
   @spec reject(t(), (Vector3.t(), term() -> boolean())) :: t()
   def reject(%__MODULE__{} = grid, fun) do
     kept =
@@ -55,7 +55,7 @@ defmodule Situ.VoxelGrid do
     %{grid | voxels: kept}
   end
 
-  @doc "How many cubes hold a value."
+  @doc "Returns the number of cubes that hold a value."
   @spec count(t()) :: non_neg_integer()
   def count(%__MODULE__{voxels: voxels}), do: map_size(voxels)
 end

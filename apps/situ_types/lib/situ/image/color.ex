@@ -2,9 +2,9 @@ defmodule Situ.Image.Color do
   @moduledoc """
   Colours for drawing and filling.
 
-  A colour is a list of channel values in the picture's memory order, one number for all channels, a name, or
-  `{r, g, b}` / `{r, g, b, a}` with 0..255, which fits every format (grey takes the picture's grey of it, 16 bit
-  widens).
+  A colour is a list of channel values in the image's memory order, one number for all channels, a name, or
+  `{r, g, b}` / `{r, g, b, a}` with values of 0..255. Tuples and names work with every format: they are converted to
+  grey for grey images, and widened for 16-bit channels.
 
       iex> Situ.Image.Color.values(:bgr24, :red)
       [0, 0, 255]
@@ -35,7 +35,7 @@ defmodule Situ.Image.Color do
           | {byte(), byte(), byte(), byte()}
           | atom()
 
-  @doc "The channel values of a colour in a format; raises `ArgumentError` on what is no colour."
+  @doc "Returns the channel values of a colour in a format; raises `ArgumentError` if it is not a colour."
   @spec values(Format.t(), t()) :: [non_neg_integer()]
   def values(format, color) when is_list(color) or is_integer(color),
     do: Format.unpack(format, Format.pack!(format, color))
@@ -46,7 +46,8 @@ defmodule Situ.Image.Color do
         values(format, rgb)
 
       :error ->
-        raise ArgumentError, "no colour #{inspect(name)}, known: #{inspect(Keyword.keys(@names))}"
+        raise ArgumentError,
+              "unknown colour #{inspect(name)}, known: #{inspect(Keyword.keys(@names))}"
     end
   end
 
@@ -54,7 +55,7 @@ defmodule Situ.Image.Color do
 
   def values(format, {r, g, b, a} = color) do
     unless Enum.all?([r, g, b, a], &(&1 in 0..255)) do
-      raise ArgumentError, "colours have values of 0..255, got: #{inspect(color)}"
+      raise ArgumentError, "colour values must be in 0..255, got: #{inspect(color)}"
     end
 
     scale = if Format.bits_per_channel(format) == 16, do: 257, else: 1
@@ -62,7 +63,7 @@ defmodule Situ.Image.Color do
   end
 
   @doc """
-  One pixel of a colour as bytes.
+  Encodes a colour as the bytes of one pixel.
 
       iex> Situ.Image.Color.pack(:bgra32, :blue)
       <<255, 0, 0, 255>>

@@ -1,6 +1,6 @@
 defmodule Situ.Image.Format do
   @moduledoc """
-  Pixel formats and their sizes; the table is in `Situ.Image`.
+  Pixel formats and their sizes. `Situ.Image` has the table of formats.
 
       iex> Situ.Image.Format.bytes_per_pixel(:bgr24)
       3
@@ -22,23 +22,23 @@ defmodule Situ.Image.Format do
     {:rgba64, 8, 16, [:red, :green, :blue, :alpha]}
   ]
 
-  @doc "Every format."
+  @doc "Lists all formats."
   @spec all() :: [t()]
   def all, do: unquote(Enum.map(@table, &elem(&1, 0)))
 
-  @doc "Bytes of one pixel."
+  @doc "Returns the number of bytes in one pixel."
   @spec bytes_per_pixel(t()) :: pos_integer()
   for {format, _code, bits, channels} <- @table do
     def bytes_per_pixel(unquote(format)), do: unquote(div(bits * length(channels), 8))
   end
 
-  @doc "Bits of one channel: 8 or 16."
+  @doc "Returns the number of bits in one channel, 8 or 16."
   @spec bits_per_channel(t()) :: 8 | 16
   for {format, _code, bits, _channels} <- @table do
     def bits_per_channel(unquote(format)), do: unquote(bits)
   end
 
-  @doc "The channels in memory order."
+  @doc "Lists the channels in memory order."
   @spec channels(t()) :: [atom()]
   for {format, _code, _bits, channels} <- @table do
     def channels(unquote(format)), do: unquote(channels)
@@ -59,12 +59,12 @@ defmodule Situ.Image.Format do
   def from_code(code),
     do: {:error, Situ.Error.new(:bad_image, "pixel format code #{code} is unknown")}
 
-  @doc "Whether a pixel has an alpha channel."
+  @doc "Returns whether the format has an alpha channel."
   @spec alpha?(t()) :: boolean()
   def alpha?(format), do: :alpha in channels(format)
 
   @doc """
-  One pixel's bytes from its channel values in memory order; one number means every channel.
+  Encodes channel values, in memory order, as the bytes of one pixel. One number is used for every channel.
 
       iex> Situ.Image.Format.pack!(:gray16, 1)
       <<1, 0>>
@@ -89,7 +89,7 @@ defmodule Situ.Image.Format do
     for v <- values, into: <<>>, do: <<v::little-size(bits)>>
   end
 
-  @doc "The channel values of one pixel's bytes."
+  @doc "Decodes the bytes of one pixel to its channel values."
   @spec unpack(t(), binary()) :: [non_neg_integer()]
   def unpack(format, bytes) do
     case bits_per_channel(format) do

@@ -1,14 +1,13 @@
 defmodule Situ.Image.Nx do
   @moduledoc """
-  Pictures and sound as Nx tensors and back. Nx is found by name when it is called: Situ does not depend on it, and
-  without it the answer is the error `:nx_missing`.
+  Converts images and audio to Nx tensors and back. Nx is an optional dependency that is looked up at run time;
+  without it, functions return the error `:nx_missing`.
 
-      {:ok, tensor} = Situ.Image.Nx.to_nx(image)          # u8[height][width][channels], no copy for tight pictures
+      {:ok, tensor} = Situ.Image.Nx.to_nx(image)          # u8[height][width][channels], no copy without padding
       {:ok, image} = Situ.Image.Nx.to_image(tensor, :rgb24)
       {:ok, samples} = Situ.Image.Nx.to_nx(buffer)        # s16[frames][channels]
 
-  Tensors are in the machine's byte order, which on every machine that Situ supports is the little-endian of its
-  structs.
+  Tensors use the machine's byte order. All machines that Situ supports are little-endian, as are Situ's structs.
   """
   @compile {:no_warn_undefined, [Nx]}
   alias Situ.{AudioBuffer, AudioFormat, DepthImage, Error, Image}
@@ -17,8 +16,8 @@ defmodule Situ.Image.Nx do
   @types %{u8: {:u, 8}, s16: {:s, 16}, s32: {:s, 32}, f32: {:f, 32}, f64: {:f, 64}}
 
   @doc """
-  A tensor of height x width x channels (pictures), height x width (depth) or frames x channels (sound). `:s24` sound
-  has no tensor type: reformat it first.
+  Converts an image (height x width x channels), a depth image (height x width) or audio (frames x channels) to a
+  tensor. Nx has no type for `:s24` audio, so reformat it first.
   """
   @spec to_nx(Image.t() | DepthImage.t() | AudioBuffer.t()) ::
           {:ok, struct()} | {:error, Error.t()}
@@ -38,8 +37,7 @@ defmodule Situ.Image.Nx do
   end
 
   def to_nx(%AudioBuffer{format: %{sample: :s24}}) do
-    {:error,
-     Error.new(:bad_audio, "there are no 24-bit tensors", fix: "reformat to :s32 or :f32")}
+    {:error, Error.new(:bad_audio, "Nx has no 24-bit tensors", fix: "reformat to :s32 or :f32")}
   end
 
   def to_nx(%AudioBuffer{} = buffer) do
@@ -49,7 +47,7 @@ defmodule Situ.Image.Nx do
     end
   end
 
-  @doc "A picture of a tensor of height x width x channels, or height x width for grey, of the format's type."
+  @doc "Converts a tensor (height x width x channels, or height x width for grey) to an image of this format."
   @spec to_image(struct(), Format.t()) :: Image.result()
   def to_image(tensor, format) do
     with {:ok, nx} <- nx() do
@@ -64,7 +62,7 @@ defmodule Situ.Image.Nx do
     end
   end
 
-  @doc "Sound of a tensor of frames x channels (or frames), of the type of one of the sample types."
+  @doc "Converts a tensor (frames x channels, or frames) to audio. Its type must match a sample type."
   @spec to_audio(struct(), pos_integer()) :: AudioBuffer.result()
   def to_audio(tensor, rate) do
     with {:ok, nx} <- nx(),
@@ -80,7 +78,7 @@ defmodule Situ.Image.Nx do
   defp sample(type) do
     case Enum.find(@types, fn {_, t} -> t == type end) do
       {sample, _} -> {:ok, sample}
-      nil -> {:error, Error.new(:bad_audio, "no sample type is #{inspect(type)}")}
+      nil -> {:error, Error.new(:bad_audio, "no sample type matches #{inspect(type)}")}
     end
   end
 
@@ -112,8 +110,8 @@ defmodule Situ.Image.Nx do
   defp unfit({type, shape}, format, wanted, channels) do
     Error.new(
       :bad_format,
-      "a tensor of type #{inspect(type)} and shape #{inspect(shape)} is no #{inspect(format)}",
-      why: "#{inspect(format)} is height x width x #{channels} of #{inspect(wanted)}"
+      "a tensor of type #{inspect(type)} and shape #{inspect(shape)} cannot become #{inspect(format)}",
+      why: "#{inspect(format)} needs height x width x #{channels} of type #{inspect(wanted)}"
     )
   end
 end

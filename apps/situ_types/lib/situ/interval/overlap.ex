@@ -1,12 +1,12 @@
 defmodule Situ.Interval.Overlap do
   @moduledoc false
-  # Which points two intervals have in common. Both are ordered: the smaller end on the left. The answers are ends,
-  # `{left, left_inclusive, right, right_inclusive}`, of which `Situ.Interval` makes intervals.
+  # Compares two intervals whose smaller end is on the left. Results are ends,
+  # `{left, left_inclusive, right, right_inclusive}`, from which `Situ.Interval` builds intervals.
 
   @type interval :: Situ.Interval.t()
   @type ends :: {Situ.Interval.bound(), boolean(), Situ.Interval.bound(), boolean()}
 
-  @doc "The ends of the points in both intervals, neither of them empty; `nil` when there are none."
+  @doc "Returns the ends of the intersection of two non-empty intervals, or `nil` if they are disjoint."
   @spec common(interval(), interval()) :: ends() | nil
   def common(a, b) do
     {left, left_inclusive} = later_left(a, b)
@@ -19,11 +19,11 @@ defmodule Situ.Interval.Overlap do
     end && {left, left_inclusive, right, right_inclusive}
   end
 
-  @doc "Whether every point of `a`, which is not empty, lies in `b`."
+  @doc "Returns whether `b` contains every point of `a`, which must not be empty."
   @spec within?(interval(), interval()) :: boolean()
   def within?(a, b), do: left_within?(a, b) and right_within?(a, b)
 
-  @doc "The ends of the smallest interval that holds both."
+  @doc "Returns the ends of the smallest interval that contains both."
   @spec cover(interval(), interval()) :: ends()
   def cover(a, b) do
     {left, left_inclusive} = if left_within?(a, b), do: left(b), else: left(a)

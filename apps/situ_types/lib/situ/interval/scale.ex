@@ -1,11 +1,11 @@
 defmodule Situ.Interval.Scale do
   @moduledoc false
-  # Moving the ends of an interval: unbounded ones stay.
+  # Moves the ends of an interval. Unbounded ends stay unbounded.
 
   @type span :: Situ.Interval.point() | :infinity
   @type amount :: {:by, Situ.Interval.point()} | {:factor, number()}
 
-  @doc "Both ends outwards by their amounts, each from the span before."
+  @doc "Moves each end outwards by its amount, both based on the original span."
   @spec both(Situ.Interval.t(), span(), amount(), amount()) :: Situ.Interval.t()
   def both(interval, span, left, right) do
     %{
@@ -15,14 +15,14 @@ defmodule Situ.Interval.Scale do
     }
   end
 
-  @doc "Half of the amount at each end; halves of whole numbers are rounded outwards."
+  @doc "Moves each end outwards by half the amount; halves of odd integers are rounded outwards."
   @spec center(Situ.Interval.t(), span(), amount()) :: Situ.Interval.t()
   def center(interval, span, amount) do
     half = {:by, span |> growth(amount) |> halve()}
     both(interval, span, half, half)
   end
 
-  @doc "An end moved by so much."
+  @doc "Moves one end by `by`."
   @spec move(Situ.Interval.bound(), Situ.Interval.point() | :infinity) :: Situ.Interval.bound()
   def move(:unbounded, _by), do: :unbounded
   def move(bound, :infinity), do: bound

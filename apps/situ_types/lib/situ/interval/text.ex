@@ -1,6 +1,6 @@
 defmodule Situ.Interval.Text do
   @moduledoc false
-  # The usual notation of intervals: [0,10), (-inf,0].
+  # Parses and formats the usual notation of intervals: [0,10), (-inf,0].
 
   @spec parse(String.t()) :: {:ok, Situ.Interval.Overlap.ends()} | {:error, Situ.Error.t()}
   def parse(text) do

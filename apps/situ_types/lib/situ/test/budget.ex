@@ -1,11 +1,11 @@
 defmodule Situ.Test.Budget do
   @moduledoc """
-  How long tests search: briefly by default, for hours with `bin/test --long`.
+  Defines how long tests search for failures: briefly by default, for hours with `bin/test --long`.
 
       for _ <- 1..Situ.Test.Budget.mutations(500), do: ...
 
   ExUnit seeds the random numbers of each test from its `--seed`, so a search in the test's process needs no seed. For
-  other processes, `seed/0` returns one that follows from ExUnit's.
+  other processes, `seed/0` derives a seed from ExUnit's.
   """
 
   @doc """
@@ -18,8 +18,8 @@ defmodule Situ.Test.Budget do
   def times, do: "SITU_TIMES" |> System.get_env("1") |> String.to_integer() |> max(1)
 
   @doc """
-  Returns how many damaged inputs a test tries: `usual`, or the number in the environment variable `SITU_MUTATIONS`.
-  Raises `ArgumentError` if that is not a whole number.
+  Returns the number of corrupted inputs that a test tries: `usual`, or the number in the environment variable
+  `SITU_MUTATIONS`. Raises `ArgumentError` if that is not an integer.
   """
   @spec mutations(pos_integer()) :: pos_integer()
   def mutations(usual),

@@ -1,14 +1,14 @@
 defmodule Situ.Test.Eventually do
   @moduledoc """
-  Waits for something that no message tells: a file that appears, a process of the system that ends, a page that has
-  drawn. It looks every few milliseconds for 30 s, which only a test that fails waits for, however busy the machine is.
+  Waits for an event that does not send a message, such as a new file, the exit of an operating system process or a
+  rendered page. Polls every few milliseconds for up to 30 s; only a failing test waits that long.
 
       import Situ.Test.Eventually
       assert eventually(fn -> File.exists?(path) end)
   """
 
   @doc """
-  The first value of `fun` that is neither `nil` nor `false`, or its last one when `within` ms are over.
+  Returns the first value of `fun` that is neither `nil` nor `false`, or the last value after `within` ms.
 
       iex> Situ.Test.Eventually.eventually(fn -> 7 end)
       7

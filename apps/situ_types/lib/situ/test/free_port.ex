@@ -1,8 +1,8 @@
 defmodule Situ.Test.FreePort do
   @moduledoc """
-  Ports of 127.0.0.1 that no program uses, for servers that a test starts.
+  Finds unused ports of 127.0.0.1 for servers that a test starts.
 
-  A port is free when it is returned: another program could take it before the test does.
+  A port is free when it is returned, but another program may take it before the test does.
 
       iex> Situ.Test.FreePort.tcp() in 1..65_535 and Situ.Test.FreePort.udp() in 1..65_535
       true

@@ -1,22 +1,22 @@
 defmodule Situ.Test.Guide do
   @moduledoc """
-  Runs the Elixir blocks of a guide as its reader would: one after the other, with the variables and aliases of those
-  before. A block that ends in `# => value` must give that value.
+  Runs the Elixir blocks of a guide in order, as a reader would. Each block sees the variables and aliases of the
+  previous blocks. A block that ends in `# => value` must return that value.
 
       defmodule LinksGuideTest do
         use ExUnit.Case, async: true
 
         @guide Path.expand("../../../docs/guides/links.md", __DIR__)
 
-        test "every block of the guide runs and gives what it says" do
+        test "every block of the guide returns the value in its comment" do
           assert Situ.Test.Guide.run(@guide) > 5
         end
       end
   """
 
   @doc """
-  Runs the blocks of the Markdown file at `path`, and gives how many there are. `bindings:` are variables that the
-  first block has already. Raises `ExUnit.AssertionError` with the guide's line, the block, and what it gave or raised.
+  Runs the blocks of the Markdown file at `path` and returns their number. `bindings:` are variables for the first
+  block. Raises `ExUnit.AssertionError` with the line in the guide, the block, and its result or exception.
   """
   @spec run(Path.t(), keyword()) :: non_neg_integer()
   def run(path, opts \\ []) do
@@ -27,7 +27,7 @@ defmodule Situ.Test.Guide do
   end
 
   @doc """
-  The blocks of a Markdown text, each with the number of its first line.
+  Lists the Elixir blocks of a Markdown text, each with the number of its first line.
 
       iex> Situ.Test.Guide.blocks("One:\\n\\n```elixir\\n1 + 1\\n# => 2\\n```\\n")
       [{4, "1 + 1\\n# => 2\\n"}]
@@ -47,7 +47,7 @@ defmodule Situ.Test.Guide do
 
     with [_, expected] <- Regex.run(~r/^# => (.*)\z/ms, code) do
       {expected, _} = expected |> String.replace("\n#", "\n") |> Code.eval_string([], env)
-      value == expected || raise "it gave #{inspect(value)}"
+      value == expected || raise "the result is #{inspect(value)}"
     end
 
     {bindings, env}

@@ -1,6 +1,6 @@
 defmodule Situ.Test.Property do
   @moduledoc """
-  Property tests in ExUnit, run by PropEr (Debian's `erlang-proper`).
+  Property tests for ExUnit, run by PropEr (Debian's `erlang-proper`).
 
       defmodule MyTest do
         use ExUnit.Case, async: true
@@ -13,17 +13,17 @@ defmodule Situ.Test.Property do
         end
       end
 
-  The body may use `assert` and friends; a body that raises is a counterexample, and so is one that returns `false` (any
-  other value passes). A failure shows the input after shrinking and the error that it caused. Several inputs are a
+  The body may use `assert` and similar macros. An input is a counterexample if the body raises or returns `false`;
+  any other result passes. A failure shows the shrunk input and the error that it caused. Combine several inputs in a
   tuple: `forall {a, b} <- {integer(), boolean()}`.
 
-  Options of `property`: `numtests:` (default 100), `max_size:` (default 42, PropEr's own), `context: pattern` to
-  match the ExUnit context. Generators are those of `Situ.Test.Gen`, which `use` imports.
+  Options of `property`: `numtests:` (default 100), `max_size:` (default 42, as in PropEr), and `context: pattern` to
+  match the ExUnit context. `use` also imports the generators of `Situ.Test.Gen`.
 
-  `SITU_TIMES=20 mix test` tries every property twenty times as often: a search for rare counterexamples. The inputs
-  follow from ExUnit's seed: `mix test --seed 1234` tries the same ones again.
+  `SITU_TIMES=20 mix test` tries twenty times as many inputs, to search for rare counterexamples. The inputs depend on
+  ExUnit's seed, so `mix test --seed 1234` repeats them.
 
-  Only test code may call this: `:proper` is not started or shipped with an application.
+  Only test code may use this module, because applications do not start or ship `:proper`.
   """
 
   @doc false
@@ -34,7 +34,7 @@ defmodule Situ.Test.Property do
     end
   end
 
-  @doc "Defines an ExUnit test that checks the `forall` which its body ends in."
+  @doc "Defines an ExUnit test that checks the `forall` at the end of its body."
   defmacro property(name, opts \\ [], do: body) do
     {context, opts} = Keyword.pop(opts, :context, Macro.var(:_, nil))
 
@@ -45,7 +45,7 @@ defmodule Situ.Test.Property do
     end
   end
 
-  @doc "A property: the body for every value of the generator."
+  @doc "Builds a property that runs the body with every generated value."
   defmacro forall({:<-, _, [pattern, generator]}, do: body) do
     quote do
       {unquote(generator), fn unquote(pattern) -> unquote(body) end}
@@ -67,7 +67,7 @@ defmodule Situ.Test.Property do
       {:max_size, Keyword.get(opts, :max_size, 42)}
     ]
 
-    # PropEr continues with the random numbers of its process.
+    # PropEr uses the random number generator of the current process, so seed it here.
     :rand.seed(:exsplus, {ExUnit.configuration()[:seed] || 0, 0, 0})
 
     case :proper.quickcheck(:proper.forall(generator, &holds?(fun, &1)), flags) do
@@ -83,7 +83,7 @@ defmodule Situ.Test.Property do
     _ -> false
   end
 
-  # Run once more, to show the error of the shrunk input and not that of the first one found.
+  # Runs the property again, because the first error belongs to the input before shrinking.
   @spec explain((term() -> term()), term()) :: no_return()
   defp explain(fun, input) do
     shown = "input: " <> inspect(input, charlists: :as_lists, limit: 200, pretty: true)
@@ -99,7 +99,7 @@ defmodule Situ.Test.Property do
 
       _ ->
         fail(
-          "#{shown}\n\nfailed once, then held: the property depends on more than its input",
+          "#{shown}\n\nit failed, then passed with the same input: it depends on more than its input",
           []
         )
     end
