@@ -1,14 +1,14 @@
 defmodule Situ do
   @moduledoc """
-  Programs that see, hear and act in the world, as pipelines of components joined by time-stamped streams.
+  Programs that see, hear and act in the world, built as pipelines of components connected by timestamped streams.
 
-  This module is what pipelines are written with: functions that add sources, functions from streams to streams,
-  functions that bring streams together. The modules they come from (`Situ.Fusion`, `Situ.Window`, `Situ.Aggregate`
-  ...) hold their tables and options; `Situ.Pipeline` runs what was built.
+  This module is the API for writing pipelines. It has functions that add sources, transform streams and combine
+  streams. Each function is documented with its options in the module it comes from (`Situ.Fusion`, `Situ.Window`,
+  `Situ.Aggregate` ...). `Situ.Pipeline` runs the pipelines.
 
   ## A first pipeline
 
-  A thermometer reads every 20 ms, a door reports now and then. How warm was it when somebody knocked?
+  A thermometer is read every 20 ms, and a door sensor reports knocks. What was the temperature at each knock?
 
       iex> build = fn p ->
       ...>   degrees = Situ.sequence(p, 200, &(&1 + 1), every: Situ.Time.ms(20), count: 50)
@@ -21,36 +21,37 @@ defmodule Situ do
       iex> Situ.to_list(build, pipeline: [replay: [interval: {0, :unbounded}]])
       [20.6, 24.0]
 
-  `build` describes a graph; nothing runs until a pipeline is started with it. `to_list/2` runs one to its end, as
-  fast as it can, and collects a stream. Run it again, on a busy machine, in real time or at ten times the speed:
-  the values and their times are the same. That is the point of what follows.
+  `build` describes a graph; nothing runs until a pipeline is started with it. `to_list/2` runs the pipeline to its
+  end as fast as possible and collects the stream. Run it again on a busy machine, in real time or at ten times the
+  speed, and you get the same values with the same times. The rest of this page explains how.
 
   ## Messages and time
 
-  A stream carries messages: data with an **originating time**, the moment in the world that the data tells of, in
-  integer nanoseconds since 1970 (`Situ.Time`). A camera's picture has the time at which it was exposed. A face
-  found in it 80 ms later has that same time: operators carry it along. The time at which a message was made is its
-  *creation time*; the difference is its latency. Along one stream originating times strictly increase.
+  A stream carries messages. Each message has data and an **originating time**, the moment in the world that the data
+  describes, in integer nanoseconds since 1970 (`Situ.Time`). The originating time of a camera image is its time of
+  exposure. A face found in that image 80 ms later has the same originating time, because operators preserve it. The
+  time at which a message was created is its *creation time*; the difference is its latency. Within one stream,
+  originating times strictly increase.
 
-  So streams are brought together by the times of what they tell of, not by when they happened to arrive. `join/4`
-  above waited, for each knock, until no later reading could be nearer. Operators of this kind are **reproducible**.
-  The few that go by arrival or by the clock (`pair/3`, `merge/3`, `latency/2`, `timer/2`, `event_source/3`,
+  Streams are therefore combined by the times that their data describes, not by when messages happen to arrive.
+  `join/4` above waited, for each knock, until no later reading could be nearer. Such operators are **reproducible**.
+  The few that depend on arrival order or on the clock (`pair/3`, `merge/3`, `latency/2`, `timer/2`, `event_source/3`,
   `fuse/4` with `Situ.Available`) say *Reproducible: no* in their documentation.
 
   ## Components
 
-  Functions on data (`map/3`, `filter/3`, `scan/4`, statistics, windows) go a long way. An operation with state of its
-  own, several inputs or outputs, a device or a file is a component: a module with pure callbacks (`Situ.Component`).
-  There is one way to add each kind:
+  Functions on data (`map/3`, `filter/3`, `scan/4`, statistics, windows) cover most needs. For an operation with its
+  own state, several inputs or outputs, a device or a file, write a component, which is a module with pure callbacks
+  (`Situ.Component`). There is one way to add each kind:
 
       camera = Situ.source(p, Camera, device: "/dev/video0", name: "Front")            # no inputs
       faces = Situ.via(camera, FaceDetector, min_score: 0.6, policy: Situ.Delivery.latest())
       cropped = Situ.via([image: camera, rect: rectangles], ImageCrop)                 # several inputs
 
-  One keyword list holds the component's own options and those of its place in the pipeline: name, delivery policy, what
-  happens when it fails (`Situ.Graph.Placement`). A component with several outputs gives a map of streams. Libraries
-  offer functions around this (`Situ.Media.Camera.open/2`, `Situ.Infer.voice/2`), which take the same options.
-  `composite/3` groups components under one name.
+  One keyword list holds the component's own options and its placement options: its name, its delivery policy and its
+  reaction to errors (`Situ.Graph.Placement`). A component with several outputs returns a map of streams. Libraries
+  wrap this in functions that take the same options (`Situ.Media.Camera.open/2`, `Situ.Infer.voice/2`). `composite/3`
+  groups components under one name.
 
   ## Running
 
@@ -68,32 +69,32 @@ defmodule Situ do
       {:ok, report} = Situ.Pipeline.run(Doorbell, device: "porch.mp4")    # to its end, as fast as possible
       children = [{Doorbell, device: "/dev/video0"}]                      # supervised, in real time
 
-  Each component is a process, supervised by its pipeline; straight runs of light operators share one. Processes ask
-  for messages, so memory stays bounded and a slow consumer slows its files and generators down. A camera cannot
-  wait: a delivery policy says which pictures to leave out (`Situ.Delivery`). A component that raises stops the
-  pipeline, skips the message or is restarted, as its `on_error:` says. A running pipeline can be looked at and
-  changed:
+  Each component is a process, supervised by its pipeline; a linear chain of light operators shares one process.
+  Processes request messages, so memory use stays bounded, and a slow consumer slows down files and generators. A
+  camera cannot wait, so a delivery policy decides which images to drop (`Situ.Delivery`). When a component raises,
+  its `on_error:` option decides whether to stop the pipeline, skip the message or restart the component. You can
+  inspect and change a running pipeline:
 
   | | |
   |---|---|
-  | `Situ.inspect/2`, `Situ.Pipeline.info/1` | queues, latencies, drops of every edge |
+  | `Situ.inspect/2`, `Situ.Pipeline.info/1` | queues, latencies and drops of every edge |
   | `attach_tap/3` | the messages of any stream, by its name |
-  | `add_input/4`, `remove_input/3` | streams of a join that come and go |
+  | `add_input/4`, `remove_input/3` | streams that are added to and removed from a join |
   | `Situ.Pipeline.replace/3`, `stop_part/3` | a component's module or options; a part of the graph |
 
-  ## Where to go on
+  ## Next steps
 
-  The guides, in this order: *Your first pipeline*, *Writing a component*, *Fusing streams*, *Operators* (every
+  Read the guides in this order: *Your first pipeline*, *Writing a component*, *Fusing streams*, *Operators* (every
   function in one table), *Choosing a delivery policy*, *When things fail*, *Situ in your application*. `Situ.Test`
-  tests pipelines with a clock that you move by hand.
+  tests pipelines with a clock that the test advances.
   """
   import Kernel, except: [min: 2, max: 2, abs: 1, tap: 2, inspect: 1, inspect: 2]
   alias Situ.{Argument, Node, Operator, Pipeline, Stream}
 
   @doc """
-  Adds a source; returns its stream, or a map of streams when it has several outputs.
+  Adds a source and returns its stream, or a map of streams if it has several outputs.
 
-  `opts` are the component's own options and those of `Situ.Graph.Placement` (`name:`, `on_error:` ...).
+  `opts` are the component's own options and the options of `Situ.Graph.Placement` (`name:`, `on_error:` ...).
   """
   @spec source(Pipeline.t(), module(), keyword()) :: Stream.t() | %{atom() => Stream.t()}
   def source(p, module, opts \\ [])
@@ -105,9 +106,10 @@ defmodule Situ do
     do: Argument.refuse!(other, :handle, "Situ.source(p, #{Kernel.inspect(module)})")
 
   @doc """
-  Sends a stream (or `[input: stream, ...]`) through a component; returns as `source/3` does.
+  Sends a stream (or `[input: stream, ...]`) through a component. Returns the same as `source/3`.
 
-  `opts` are the component's own options and those of `Situ.Graph.Placement` (`name:`, `policy:`, `on_error:` ...).
+  `opts` are the component's own options and the placement options of `Situ.Graph.Placement` (`name:`, `policy:`,
+  `on_error:` ...).
   """
   @spec via(Stream.t() | keyword(Stream.t()), module(), keyword()) ::
           Stream.t() | %{atom() => Stream.t()}
@@ -129,8 +131,8 @@ defmodule Situ do
     do: Argument.refuse!(other, :stream, "Situ.via(stream, #{Kernel.inspect(module)})")
 
   @doc """
-  Groups components under one name; given a stream, the function gets the stream inside the group. Options: `policy:`
-  and `on_error:`, see `Situ.Pipeline.composite/4`.
+  Groups components under one name. If the first argument is a stream, `fun` receives that stream inside the group.
+  The options are `policy:` and `on_error:`; see `Situ.Pipeline.composite/4`.
   """
   @spec composite(Pipeline.t() | Stream.t(), String.t(), (term() -> result), keyword()) :: result
         when result: term()
@@ -147,7 +149,7 @@ defmodule Situ do
     Argument.refuse!(other, takes, ~s|Situ.composite(stream, "Mouth", fn stream -> stream end)|)
   end
 
-  @doc "The data through `fun` (of data, or of data and message). Options: `Situ.Graph.Placement`."
+  @doc "Applies `fun` to the data (or to the data and the message). Options: `Situ.Graph.Placement`."
   @spec map(Stream.t(), (term() -> term()) | (term(), Situ.Message.t() -> term()), keyword()) ::
           Stream.t()
   def map(stream, fun, opts \\ []),
@@ -157,7 +159,7 @@ defmodule Situ do
   @spec map_async(Stream.t(), (term() -> term()), keyword()) :: Stream.t()
   defdelegate map_async(stream, fun, opts \\ []), to: Situ.MapAsync
 
-  @doc "Only messages for which `fun` (of data, or of data and message) is true."
+  @doc "Passes only the messages for which `fun` (of the data, or of the data and the message) returns true."
   @spec filter(
           Stream.t(),
           (term() -> boolean()) | (term(), Situ.Message.t() -> boolean()),
@@ -169,7 +171,7 @@ defmodule Situ do
     Operator.attach(stream, "Filter", {:filter, fun}, opts, stream.type)
   end
 
-  @doc "Calls `fun` (of data, or of data and message) for its effect and passes the message on."
+  @doc "Calls `fun` (of the data, or of the data and the message) for its side effect and passes the message through."
   @spec each(Stream.t(), (term() -> any()) | (term(), Situ.Message.t() -> any()), keyword()) ::
           Stream.t()
   def each(stream, fun, opts \\ []) do
@@ -181,7 +183,8 @@ defmodule Situ do
     do: Argument.stream!(stream, "Situ.#{name}(stream, fn data -> data end)")
 
   @doc """
-  Folds: emits the accumulator after every input; `fun.(data, acc)` or `fun.(data, message, acc)`.
+  Folds the stream and emits the accumulator after every message. `fun` is `fun.(data, acc)` or
+  `fun.(data, message, acc)`.
 
   The initial value itself is not emitted.
   """
@@ -216,7 +219,7 @@ defmodule Situ do
   def scan(other, _acc, _fun, _opts),
     do: Argument.refuse!(other, :stream, "Situ.scan(stream, 0, fn data, acc -> data + acc end)")
 
-  @doc "The pipelines of this node: label, process and state of each; see `Situ.Pipeline.list/0`."
+  @doc "Lists the pipelines of this node with label, process and state; see `Situ.Pipeline.list/0`."
   @spec pipelines() :: [%{name: String.t(), pid: pid(), state: atom()}]
   defdelegate pipelines(), to: Pipeline, as: :list
 
@@ -224,7 +227,7 @@ defmodule Situ do
   @spec name(Stream.t(), String.t()) :: Stream.t()
   defdelegate name(stream, name), to: Stream
 
-  # Fusion: streams brought together by time
+  # Fusion: streams combined by time
 
   @doc "See `Situ.Fusion.join/4`."
   @doc group: "Fusion: streams brought together by time"
@@ -442,11 +445,11 @@ defmodule Situ do
   defdelegate to_stream(build, opts \\ []), to: Situ.Collector
 
   @doc """
-  Looks at a stream of a running pipeline: `fun` gets every `Situ.Message`, in a process of its own behind a lossy
-  queue.
+  Attaches a tap to a stream of a running pipeline. `fun` receives every `Situ.Message` in its own process, which has
+  a lossy queue.
 
-  `target` is a stream, or `{pipeline, stream_name}`. Options: `policy:` and `name:`. `detach_tap/1` ends it. See
-  `Situ.Pipeline.Tap`; `tap/2` builds a tap into the pipeline from the start.
+  `target` is a stream, or `{pipeline, stream_name}`. The options are `policy:` and `name:`. `detach_tap/1` removes
+  the tap. See `Situ.Pipeline.Tap`; to build a tap into a pipeline from the start, use `tap/2`.
   """
   @spec attach_tap(
           Stream.t() | {Pipeline.target(), String.t()},
@@ -455,14 +458,14 @@ defmodule Situ do
         ) :: {:ok, Pipeline.Tap.t()} | {:error, Situ.Error.t()}
   defdelegate attach_tap(target, fun, opts \\ []), to: Pipeline.Tap, as: :attach
 
-  @doc "Takes a tap of `attach_tap/3` away."
+  @doc "Removes a tap that `attach_tap/3` added."
   @spec detach_tap(Pipeline.Tap.t()) :: :ok
   defdelegate detach_tap(tap), to: Pipeline.Tap, as: :detach
 
   @doc """
-  Prints a running pipeline as a table: edges with counts, queues, drops and latencies, and its processes.
+  Prints a running pipeline as a table of edges (counts, queues, drops, latencies) and processes.
 
-  `refresh: ms` prints again and again until the pipeline ends (`times:` at most so often).
+  With `refresh: ms` the table is printed repeatedly until the pipeline ends, or at most `times:` times.
   """
   @spec inspect(Pipeline.target(), keyword()) :: :ok
   def inspect(p, opts \\ []) do
@@ -473,8 +476,8 @@ defmodule Situ do
   end
 
   @doc """
-  Where in a running pipeline the message of an originating time is now, and where it waited; print it with
-  `Situ.Diagnostics.Trace.format/1`.
+  Reports where in a running pipeline the message with an originating time is now, and where it waited. Print the
+  result with `Situ.Diagnostics.Trace.format/1`.
   """
   @spec trace(Pipeline.target(), Situ.Time.t()) :: Situ.Diagnostics.Trace.t()
   defdelegate trace(p, time), to: Pipeline
@@ -483,6 +486,6 @@ defmodule Situ do
 
   defp only_input(node) do
     raise ArgumentError,
-          "#{node.path} has #{length(node.inputs)} inputs; name them: Situ.via([left: stream, ...], ...)"
+          "#{node.path} has #{length(node.inputs)} inputs; name each: Situ.via([left: stream, ...], ...)"
   end
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Application do
   @moduledoc false
-  # The processes that outlive any pipeline. Nothing else is global.
+  # Starts the processes that outlive any pipeline. Nothing else is global.
   use Application
 
   @impl true

@@ -1,7 +1,7 @@
 defmodule Situ.Application.Directory do
   @moduledoc false
-  # The pipelines of this node: every one is entered under its label; one whose `name:` is an atom is registered under
-  # that as well. A process monitors them (a `Registry` would link itself to each).
+  # The pipelines of this node. Each pipeline has an entry with its label, and a pipeline whose `name:` is an atom is
+  # also registered under that atom. One process monitors them all (a `Registry` would link itself to each pipeline).
   use GenServer
   alias Situ.Error
 
@@ -10,7 +10,7 @@ defmodule Situ.Application.Directory do
   @spec start_link(term()) :: GenServer.on_start()
   def start_link(_), do: GenServer.start_link(__MODULE__, [], name: __MODULE__)
 
-  @doc "Registers the calling process as a pipeline; without a directory process this does nothing."
+  @doc "Registers the calling process as a pipeline; does nothing if the directory process is not running."
   @spec enter(%{:name => String.t(), :registered => atom(), optional(atom()) => term()}) ::
           :ok | {:error, Error.t()}
   def enter(settings) do
@@ -29,7 +29,7 @@ defmodule Situ.Application.Directory do
     ArgumentError -> {:error, taken(name)}
   end
 
-  @doc "Frees the name of the calling process; a process that sees the pipeline end may take it at once."
+  @doc "Releases the name of the calling process, so that it is free before any other process sees the pipeline end."
   @spec leave(%{:registered => atom(), optional(atom()) => term()}) :: :ok
   def leave(%{registered: name}) do
     if name != nil and Process.whereis(name) == self(), do: Process.unregister(name)
@@ -38,11 +38,11 @@ defmodule Situ.Application.Directory do
     :exit, _ -> :ok
   end
 
-  @doc "Label and process of each, in the order of labels."
+  @doc "Returns the label and process of each pipeline, sorted by label."
   @spec all() :: [{String.t(), pid()}]
   def all, do: for({pid, label} <- entries(:_), do: {label, pid}) |> Enum.sort()
 
-  @doc "The pipeline with this label. Raises `Situ.Error` (`:ambiguous_name`) when there are several."
+  @doc "Returns the pipeline with this label. Raises `Situ.Error` (`:ambiguous_name`) if several pipelines have it."
   @spec whereis(String.t()) :: pid() | nil
   def whereis(label) do
     case entries(label) do
@@ -52,7 +52,7 @@ defmodule Situ.Application.Directory do
     end
   end
 
-  # One that has just ended may be in it still.
+  # A pipeline that has just ended may still have an entry.
   defp entries(label) do
     for {pid, _} = entry <- :ets.match_object(@table, {:_, label}), Process.alive?(pid), do: entry
   end
@@ -84,15 +84,15 @@ defmodule Situ.Application.Directory do
   def handle_info(_other, state), do: {:noreply, state}
 
   defp taken(name) do
-    Error.new(:name_taken, "the name #{inspect(name)} is not free",
-      why: "another process has it, or it is reserved",
-      fix: "give the pipeline another name:"
+    Error.new(:name_taken, "the name #{inspect(name)} is not available",
+      why: "another process is registered under it, or the name is reserved",
+      fix: "give the pipeline a different name:"
     )
   end
 
   defp ambiguous(label, n) do
     Error.new(:ambiguous_name, "#{n} pipelines are called #{inspect(label)}",
-      fix: "use the pid (Situ.pipelines/0 lists them), or give them names of their own"
+      fix: "use the pid (Situ.pipelines/0 lists them), or give each pipeline a unique name"
     )
   end
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Application.Reaper do
   @moduledoc false
-  # When a pipeline's process is killed, its components end by themselves; one that is stuck in a loop cannot. This
-  # process sees pipelines die and, after a grace time, kills what they have left behind.
+  # When a pipeline's process is killed, its components end by themselves, unless a component is stuck in a loop. This
+  # process monitors pipelines and, after a grace period, kills any process that a dead pipeline left running.
   use GenServer
 
   @grace_ms 5_000
@@ -14,7 +14,7 @@ defmodule Situ.Application.Reaper do
     end
   end
 
-  @doc "Watches the pipeline's process from now on; without a reaper process this does nothing."
+  @doc "Watches the pipeline's process from now on; does nothing if the reaper process is not running."
   @spec watch(pid(), GenServer.server()) :: :ok
   def watch(pipeline, reaper \\ __MODULE__) do
     GenServer.call(reaper, {:watch, pipeline})

@@ -1,9 +1,8 @@
 defmodule Situ.Application.Reload do
   @moduledoc false
-  # Sees when the module of a running pipeline is loaded again, and tells the pipeline: `:situ_reloaded`.
-  # The VM keeps two versions of a module; when a third is loaded it kills every process that still holds functions of
-  # the oldest. So a pipeline replaces the functions of its operators by those of a new version as soon as there is
-  # one.
+  # Notices when the module of a running pipeline is reloaded, and sends the pipeline `:situ_reloaded`. The VM keeps
+  # two versions of a module. When a third version is loaded, it kills every process that still holds functions of the
+  # oldest. A pipeline therefore replaces its operators' functions as soon as a new version is loaded.
   use GenServer
 
   @every_ms 50
@@ -11,7 +10,7 @@ defmodule Situ.Application.Reload do
   @spec start_link(term()) :: GenServer.on_start()
   def start_link(_), do: GenServer.start_link(__MODULE__, [], name: __MODULE__)
 
-  @doc "Notifies the calling process of each version of `module` after `seen`, the version it was built with."
+  @doc "Notifies the calling process of each version of `module` after `seen`, the version the pipeline was built with."
   @spec watch(module(), binary() | nil) :: :ok
   def watch(module, seen), do: GenServer.cast(__MODULE__, {:watch, module, seen, self()})
 
@@ -47,7 +46,7 @@ defmodule Situ.Application.Reload do
     end
   end
 
-  @doc "Returns the version of the loaded code; `nil` for the moment in which a module is being loaded."
+  @doc "Returns the version of the loaded code, or `nil` while the module is being loaded."
   @spec version(module()) :: binary() | nil
   def version(module) do
     if :erlang.module_loaded(module), do: module.module_info(:md5)

@@ -1,6 +1,6 @@
 defmodule Situ.Application.Results do
   @moduledoc false
-  # Results of pipelines that have ended, so that `await/2` a moment too late still answers. The last 256 are kept.
+  # Keeps the results of the last 256 pipelines that ended, so that a late `await/2` still returns a result.
   @table __MODULE__
   @kept 256
 

@@ -1,6 +1,6 @@
 defmodule Situ.Application.Tables do
   @moduledoc false
-  # Owns the tables that outlive any pipeline: telemetry handlers, results of pipelines that have ended.
+  # Owns the tables that outlive any pipeline: the telemetry handlers and the results of finished pipelines.
   use GenServer
 
   @spec start_link(term()) :: GenServer.on_start()

@@ -1,9 +1,11 @@
 defmodule Situ.Clock do
   @moduledoc """
-  The clocks of pipelines: real, virtual (from a start, at a speed, pausable), manual (moved by hand, for tests).
+  The clocks of pipelines: real, virtual (starts at a given time, runs at a given speed, can be paused) and manual
+  (advanced by a test).
 
-  A clock is shared memory: reading takes about 50 ns from any process, and all readers see a pause, a new speed or a
-  jump at once. A clock notifies its pipelines of every change, so that components that wait for a time wake up.
+  A clock is in shared memory. Reading it takes about 50 ns from any process, and all readers see a pause, a new speed
+  or a jump immediately. A clock notifies its pipelines of every change, so that components waiting for a time wake
+  up.
 
       iex> clock = Situ.Clock.manual(100)
       iex> :ok = Situ.Clock.advance(clock, 20)
@@ -15,7 +17,7 @@ defmodule Situ.Clock do
       iex> Situ.Clock.now(clock) == Situ.Clock.now(clock)
       true
   """
-  # Cells: 1 version (odd while a writer is at work), 2 origin, 3 wall time of the origin, 4 speed in millionths
+  # Cells: 1 version (odd while a process is writing), 2 origin, 3 wall time of the origin, 4 speed in millionths
   # (0 while paused), 5 the speed to resume with.
   @enforce_keys [:kind]
   defstruct [:kind, :cells]
@@ -28,13 +30,13 @@ defmodule Situ.Clock do
   @registry __MODULE__.Listeners
 
   @doc """
-  Wall time. It never goes back: when the system's time is set back, it stands still until that has caught up; when
-  that is set forward, it follows within a second.
+  Returns the wall clock. It never goes backward. If the system time is set back, the clock pauses until the system
+  time catches up; if the system time is set forward, the clock follows within a second.
   """
   @spec real() :: t()
   def real, do: %__MODULE__{kind: :real, cells: Wall.cells()}
 
-  @doc "Starts now at `origin` (ns) and runs `speed` times as fast as the wall clock; can be paused."
+  @doc "Returns a pausable clock that starts now at `origin` (ns) and runs `speed` times as fast as the wall clock."
   @spec virtual(Situ.Time.t(), number()) :: t()
   def virtual(origin, speed \\ 1.0) when is_integer(origin) and is_number(speed) and speed > 0 do
     cells = :atomics.new(5, signed: true)
@@ -42,7 +44,7 @@ defmodule Situ.Clock do
     %__MODULE__{kind: :virtual, cells: cells}
   end
 
-  @doc "Stands at `time` until `advance/2` or `set/2` moves it."
+  @doc "Returns a clock that stays at `time` until `advance/2` or `set/2` moves it."
   @spec manual(Situ.Time.t()) :: t()
   def manual(time \\ 0) when is_integer(time) do
     cells = :atomics.new(5, signed: true)
@@ -50,7 +52,7 @@ defmodule Situ.Clock do
     %__MODULE__{kind: :manual, cells: cells}
   end
 
-  @doc "The time now, ns."
+  @doc "Returns the current time, ns."
   @spec now(t()) :: Situ.Time.t()
   def now(%__MODULE__{kind: :real, cells: cells}), do: Wall.now(cells)
   def now(%__MODULE__{kind: :manual, cells: cells}), do: :atomics.get(cells, 2)
@@ -60,7 +62,7 @@ defmodule Situ.Clock do
     elapsed(origin, wall, speed)
   end
 
-  @doc "Wall milliseconds (rounded up) until the clock reaches `time`; `:never` while it stands still."
+  @doc "Returns the wall milliseconds (rounded up) until the clock reaches `time`, or `:never` while it is not moving."
   @spec wait_ms(t(), Situ.Time.t()) :: non_neg_integer() | :never
   def wait_ms(%__MODULE__{kind: :real, cells: cells}, time), do: ceil_ms(time - Wall.now(cells))
 
@@ -85,15 +87,15 @@ defmodule Situ.Clock do
     notify(clock)
   end
 
-  @doc "Moves a manual clock to `time`, which must not be in its past."
+  @doc "Moves a manual clock to `time`, which must not be before its current time."
   @spec set(t(), Situ.Time.t()) :: :ok
   def set(%__MODULE__{kind: :manual} = clock, time) do
-    if time < now(clock), do: raise(ArgumentError, "a clock does not go back")
+    if time < now(clock), do: raise(ArgumentError, "a clock cannot be set back")
     :atomics.put(clock.cells, 2, time)
     notify(clock)
   end
 
-  @doc "Halts a virtual clock."
+  @doc "Pauses a virtual clock."
   @spec pause(t()) :: :ok | {:error, Situ.Error.t()}
   def pause(clock) do
     change(clock, fn origin, wall, speed, resume ->
@@ -102,7 +104,7 @@ defmodule Situ.Clock do
     end)
   end
 
-  @doc "Lets a paused clock go on from where it stood."
+  @doc "Resumes a paused clock from the time at which it was paused."
   @spec resume(t()) :: :ok | {:error, Situ.Error.t()}
   def resume(clock) do
     change(clock, fn origin, wall, speed, resume ->
@@ -111,7 +113,7 @@ defmodule Situ.Clock do
     end)
   end
 
-  @doc "Changes the speed of a virtual clock; it does not jump. A paused clock stays paused and resumes with it."
+  @doc "Changes the speed of a virtual clock without a jump. A paused clock stays paused and resumes at the new speed."
   @spec set_speed(t(), number()) :: :ok | {:error, Situ.Error.t()}
   def set_speed(clock, speed) when is_number(speed) and speed > 0 do
     change(clock, fn origin, wall, old, _resume ->
@@ -121,7 +123,7 @@ defmodule Situ.Clock do
     end)
   end
 
-  @doc "Moves a virtual or manual clock, also a paused one, forward to `time` at once; one already past it stays."
+  @doc "Moves a virtual or manual clock forward to `time`, even while paused; a clock already past `time` is unchanged."
   @spec jump(t(), Situ.Time.t()) :: :ok | {:error, Situ.Error.t()}
   def jump(%__MODULE__{kind: :manual} = clock, time), do: set(clock, max(time, now(clock)))
 
@@ -132,14 +134,15 @@ defmodule Situ.Clock do
     end)
   end
 
-  @doc "Wall nanoseconds per clock nanosecond, 0.0 while paused, `:manual` for manual clocks."
+  @doc "Returns the speed relative to the wall clock, 0.0 while paused, or `:manual` for manual clocks."
   @spec speed(t()) :: float() | :manual
   def speed(%__MODULE__{kind: :real}), do: 1.0
   def speed(%__MODULE__{kind: :manual}), do: :manual
   def speed(%__MODULE__{cells: cells}), do: elem(read(cells), 2) / 1_000_000
 
   @doc """
-  Sends the calling process `{:situ_clock, clock}` whenever the clock is paused, resumed, moved or changes speed.
+  Subscribes the calling process to `{:situ_clock, clock}`, sent when the clock is paused, resumed, moved or changes
+  speed.
   """
   @spec listen(t()) :: :ok
   def listen(%__MODULE__{kind: :real}), do: :ok
@@ -173,13 +176,13 @@ defmodule Situ.Clock do
 
   defp change(%__MODULE__{kind: kind}, _fun) do
     {:error,
-     Situ.Error.new(:fixed_clock, "a #{kind} clock has no speed to change",
-       why: "only replayed (virtual) time can be paused or run at another speed",
+     Situ.Error.new(:fixed_clock, "a #{kind} clock cannot be paused or run at a different speed",
+       why: "only replayed (virtual) time supports this",
        fix: "start the pipeline with a replay interval, or with clock: Situ.Clock.virtual(start)"
      )}
   end
 
-  # Writers exclude one another by making the version odd.
+  # A writer makes the version odd, which excludes all other writers.
   defp lock(cells) do
     version = :atomics.get(cells, 1)
 
@@ -189,7 +192,7 @@ defmodule Situ.Clock do
     end
   end
 
-  # A process that reads often keeps what it has read: the version tells that it still holds.
+  # Each process caches the values it has read; the version shows whether they are still valid.
   defp read(cells) do
     version = :atomics.get(cells, 1)
 

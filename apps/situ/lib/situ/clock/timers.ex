@@ -1,32 +1,33 @@
 defmodule Situ.Clock.Timers do
   @moduledoc false
-  # The timers of a component, ordered by time, and one alarm of the VM for all that waits for the clock.
+  # The timers of a component, ordered by time, and one VM timer (the alarm) for the next time at which it must wake
+  # up.
   alias Situ.Clock
 
   defstruct tree: :gb_sets.empty(), next: 0, alarm: nil
 
-  @typedoc "`alarm`: what is due at which time, the wait in ms, the VM's timer."
+  @typedoc "`alarm` holds the clock time it is set for, the wait in ms, and the VM's timer."
   @type t :: %__MODULE__{
           tree: :gb_sets.set({Situ.Time.t(), non_neg_integer(), term()}),
           next: non_neg_integer(),
           alarm: {Situ.Time.t(), non_neg_integer(), reference()} | nil
         }
 
-  @doc "Timers of one time go in the order in which they were set."
+  @doc "Adds a timer. Timers with the same time fire in the order in which they were added."
   @spec add(t(), Situ.Time.t(), term()) :: t()
   def add(%__MODULE__{tree: tree, next: next} = timers, time, key),
     do: %{timers | tree: :gb_sets.add_element({time, next, key}, tree), next: next + 1}
 
-  @doc "No timers any more; the alarm stays, for messages that wait."
+  @doc "Removes all timers but keeps the alarm, because waiting messages may need it."
   @spec clear(t()) :: t()
   def clear(%__MODULE__{} = timers), do: %{timers | tree: :gb_sets.empty()}
 
-  @doc "The timers with their times, in order."
+  @doc "Returns the keys of the timers with their times, in order."
   @spec to_list(t()) :: [{Situ.Time.t(), term()}]
   def to_list(%__MODULE__{tree: tree}),
     do: for({time, _, key} <- :gb_sets.to_list(tree), do: {time, key})
 
-  @doc "Takes those that are due at `now`, in order."
+  @doc "Takes the timers that are due at `now`, in order."
   @spec due(t(), Situ.Time.t()) :: {[term()], t()}
   def due(%__MODULE__{tree: tree} = timers, now) do
     {keys, tree} = due(tree, now, [])
@@ -42,7 +43,7 @@ defmodule Situ.Clock.Timers do
     end
   end
 
-  @doc "Throws away what is later than `final`."
+  @doc "Drops the timers that are later than `final`."
   @spec cut(t(), Situ.Time.t()) :: t()
   def cut(%__MODULE__{tree: tree} = timers, final),
     do: %{timers | tree: :gb_sets.filter(fn {time, _, _} -> time <= final end, tree)}
@@ -51,16 +52,16 @@ defmodule Situ.Clock.Timers do
   def next_time(%__MODULE__{tree: tree}),
     do: if(:gb_sets.is_empty(tree), do: nil, else: tree |> :gb_sets.smallest() |> elem(0))
 
-  @doc "Whether no timer is set and no alarm."
+  @doc "Returns whether neither a timer nor the alarm is set."
   @spec idle?(t()) :: boolean()
   def idle?(%__MODULE__{alarm: nil, tree: tree}), do: :gb_sets.is_empty(tree)
   def idle?(%__MODULE__{}), do: false
 
-  @doc "The alarm rang."
+  @doc "Forgets the alarm after it has fired."
   @spec rang(t()) :: t()
   def rang(%__MODULE__{} = timers), do: %{timers | alarm: nil}
 
-  @doc "Sets the alarm for what is due next (`nil`: nothing): `{:situ_alarm, due}` comes then."
+  @doc "Sets the alarm to send `{:situ_alarm, due}` at clock time `due`; `nil` cancels it."
   @spec arm(t(), Situ.Time.t() | nil, Clock.t()) :: t()
   def arm(%__MODULE__{alarm: nil} = timers, nil, _clock), do: timers
   def arm(%__MODULE__{} = timers, nil, _clock), do: disarm(timers)

@@ -1,6 +1,6 @@
 defmodule Situ.Clock.Timing do
   @moduledoc false
-  # By which clock a pipeline runs, from when to when. Pure but for reading the clock.
+  # The clock, start time and replay interval of a pipeline. Pure except for reading the clock.
   alias Situ.Clock
 
   @enforce_keys [:clock, :start_time]
@@ -22,7 +22,7 @@ defmodule Situ.Clock.Timing do
           replay_end: Situ.Time.t() | :infinity
         }
 
-  @doc "Clock, start time and replay end; a known start makes the clock virtual."
+  @doc "Chooses the clock, the start time and the replay end. The clock is virtual if the start is given or proposed."
   @spec new(settings(), [{Situ.Time.t(), bound()}]) :: t()
   def new(settings, proposals) do
     {from, to} = interval(proposals, settings.interval)
@@ -37,7 +37,7 @@ defmodule Situ.Clock.Timing do
     }
   end
 
-  @doc "The replay interval: what was proposed, cut by what was asked for."
+  @doc "Returns the replay interval: the union of the proposed intervals, limited to the requested interval."
   @spec interval([{Situ.Time.t(), bound()}], {bound(), bound()}) :: {bound(), bound()}
   def interval(proposals, asked), do: proposals |> coverage() |> intersect(asked)
 

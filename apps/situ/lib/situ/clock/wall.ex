@@ -1,15 +1,15 @@
 defmodule Situ.Clock.Wall do
   @moduledoc false
-  # Wall time that never goes back: the processor's counter plus an offset that is held against the system's time once
-  # a second. Where they differ by more than 0.1 ms (somebody set the system's time, the machine slept), wall time
-  # jumps if the system is ahead, and stands still until the system has caught up if it is behind.
+  # Wall time that never goes backward: the processor's counter plus an offset, which is compared with the system time
+  # once a second. If they differ by more than 0.1 ms (the system time was set, or the machine was asleep), wall time
+  # jumps forward when the system is ahead. Otherwise it pauses until the system has caught up.
   #
-  # The VM's own system time would do the same by running a percent faster or slower: an hour would take it four days.
+  # The VM's own system time corrects itself by running 1 % faster or slower, and would take four days for an hour.
   use GenServer
 
   @every_ms 1_000
   @drift 100_000
-  # How far a reading by the old offset may be ahead, ns: other schedulers see the new offset a little later.
+  # The maximum lead of a reading with the old offset, ns: other schedulers see the new offset slightly later.
   @margin 1_000_000
   @tries 8
 
@@ -17,11 +17,11 @@ defmodule Situ.Clock.Wall do
   @type cells :: :atomics.atomics_ref()
   @type line :: {offset :: integer(), floor :: integer()}
 
-  @doc "The cells of this node; `nil` if no process keeps them: then the system's time is read."
+  @doc "Returns the cells of this node, or `nil` if no process maintains them; `now/1` then reads the system time."
   @spec cells() :: cells() | nil
   def cells, do: :persistent_term.get(__MODULE__, nil)
 
-  @doc "The wall time, ns since 1970."
+  @doc "Returns the wall time, ns since 1970."
   @spec now(cells() | nil) :: Situ.Time.t()
   def now(cells \\ cells())
   def now(nil), do: :os.system_time()
@@ -30,7 +30,7 @@ defmodule Situ.Clock.Wall do
     do: max(:os.perf_counter() + :atomics.get(cells, 1), :atomics.get(cells, 2))
 
   @doc """
-  The line after the counter and the system's time were read together.
+  Returns the line adjusted to a counter value and a system time that were read together.
 
       iex> Situ.Clock.Wall.adjust({0, 0}, 5_000, 6_000)
       {0, 0}
@@ -51,8 +51,8 @@ defmodule Situ.Clock.Wall do
   end
 
   @doc """
-  Keeps the cells of this node (or those of `cells:`) and compares the times `every:` so many ms. `read:` returns the
-  counter and the system's time, read together.
+  Starts the process that updates the cells of this node (or `cells:`) from the system time every `every:` ms. `read:`
+  returns the counter and the system time, read together.
   """
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
@@ -69,7 +69,7 @@ defmodule Situ.Clock.Wall do
     end
   end
 
-  # A keeper that was restarted goes on with the cells that clocks hold.
+  # After a restart this process continues with the cells that existing clocks hold.
   defp keep(read) do
     with nil <- cells() do
       cells = new(read.())
@@ -78,7 +78,7 @@ defmodule Situ.Clock.Wall do
     end
   end
 
-  @doc "Cells that agree with the system's time now."
+  @doc "Creates cells that match the system time now."
   @spec new({integer(), Situ.Time.t()}) :: cells()
   def new({counter, system}) do
     cells = :atomics.new(2, signed: true)
@@ -92,7 +92,7 @@ defmodule Situ.Clock.Wall do
     line = {:atomics.get(cells, 1), :atomics.get(cells, 2)}
 
     with {offset, floor} when {offset, floor} != line <- adjust(line, counter, system) do
-      # Nobody may read the new offset without the floor.
+      # The floor is written first, because no reader may see the new offset without it.
       :atomics.put(cells, 2, floor)
       :atomics.put(cells, 1, offset)
     end
@@ -107,7 +107,7 @@ defmodule Situ.Clock.Wall do
     state
   end
 
-  # Of a few readings that which took least: the process may have been suspended in the middle of one.
+  # Takes the fastest of a few readings, because the process may have been suspended during any of them.
   defp read do
     {_, counter, system} =
       for _ <- 1..@tries do

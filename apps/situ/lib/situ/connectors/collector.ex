@@ -1,6 +1,7 @@
 defmodule Situ.Collector do
   @moduledoc """
-  Streams as lists and as Elixir enumerables, for iex, scripts and tests. All are on `Situ` too.
+  Collects streams as lists and as Elixir enumerables, for IEx, scripts and tests. `Situ` has all of these functions,
+  too.
 
       iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(1..5, every: 10) |> Situ.map(&(&1 * &1)) end)
       [1, 4, 9, 16, 25]
@@ -19,7 +20,7 @@ defmodule Situ.Collector do
 
   defmodule Sink do
     @moduledoc false
-    # Sends what arrives to a process, batch by batch.
+    # Sends the messages it receives to a process, batch by batch.
     use Situ.Component,
       inputs: [in: :any],
       outputs: [],
@@ -41,8 +42,8 @@ defmodule Situ.Collector do
 
   defmodule Gate do
     @moduledoc false
-    # Hands a batch to the reader and waits until it wants the next. Nothing upstream runs further ahead than the demand
-    # windows allow; a reader that has gone lets everything through.
+    # Sends a batch to the reader and waits until the reader wants the next one, so that upstream components run ahead
+    # only as far as their demand windows allow. Once the reader has ended, all further messages are dropped.
     use Situ.Component,
       inputs: [in: :any],
       outputs: [],
@@ -92,9 +93,9 @@ defmodule Situ.Collector do
   @type streams :: Stream.t() | [Stream.t()] | %{term() => Stream.t()} | keyword(Stream.t())
 
   @doc """
-  Runs a pipeline to its end (as fast as possible unless `pipeline:` says otherwise) and returns the messages of the
-  streams that `build` returned: a list of `Situ.Message` for a stream, and for a list or map of streams a list or map
-  of these.
+  Runs a pipeline to its end and returns the messages of the streams that `build` returned. A stream becomes a list of
+  `Situ.Message`; a list or map of streams becomes a list or map of such lists. The pipeline runs as fast as possible
+  unless `pipeline:` sets a speed.
   """
   @spec collect((Pipeline.t() -> streams()), keyword()) ::
           {:ok, term()} | {:error, Situ.Error.t()}
@@ -118,7 +119,8 @@ defmodule Situ.Collector do
   def collect(other, _opts), do: refuse_build!(other, "collect")
 
   @doc """
-  As `collect/2`, but only the data, and an error is raised. With `times: true` pairs of originating time and data.
+  Like `collect/2`, but returns only the data and raises errors. With `times: true`, returns
+  `{originating_time, data}` pairs.
   """
   @spec to_list((Pipeline.t() -> streams()), keyword()) :: term()
   def to_list(build, opts \\ [])
@@ -135,8 +137,9 @@ defmodule Situ.Collector do
   def to_list(other, _opts), do: refuse_build!(other, "to_list")
 
   @doc """
-  The data of the stream that `build` returns as an Elixir `Stream`: a pipeline of its own runs while it is read, as
-  far ahead as its back-pressure lets it, and is ended when reading ends. With `messages: true` whole messages.
+  Returns the data of the stream that `build` returns as an Elixir `Stream`. Reading it runs a separate pipeline,
+  which runs ahead only as far as its back-pressure allows and is stopped when reading stops. With `messages: true`,
+  returns whole messages.
   """
   @spec to_stream((Pipeline.t() -> Stream.t()), keyword()) :: Enumerable.t()
   def to_stream(build, opts \\ [])
@@ -213,7 +216,7 @@ defmodule Situ.Collector do
     end
   end
 
-  # Reading lazily: a gate at the pipeline's end hands over one batch at a time.
+  # Lazy reading: a gate at the end of the pipeline delivers one batch at a time.
 
   defp open(build, opts) do
     {me, ref} = {self(), make_ref()}
@@ -250,7 +253,7 @@ defmodule Situ.Collector do
   defp shut(%{pipeline: pipeline, ref: ref, monitor: monitor, gate: gate}) do
     if gate != nil, do: send(gate, {:situ_gate, ref, :enough})
 
-    # The reader has seen enough: sources end where they are.
+    # The reader needs no more data, so sources stop immediately.
     case Situ.Pipeline.stop(pipeline, catch_up: 0, timeout: 5_000) do
       {:error, %Situ.Error{code: :timeout}} -> Process.exit(pipeline, :kill)
       _ -> :ok

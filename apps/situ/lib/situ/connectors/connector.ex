@@ -1,11 +1,11 @@
 defmodule Situ.Connector do
   @moduledoc """
-  Carries a stream from one pipeline into another that runs on its own.
+  Carries a stream from one pipeline into another, independent pipeline.
 
-  The two pipelines share nothing but the connector: each has its own clock, life cycle and errors. The target sees an
-  infinite source. Its demand goes through the connector: a target that is slow makes the sender wait (at most
-  `window:` messages are under way, 1,000 if not said otherwise), unless the sender's policy drops; several targets
-  all get all. Messages sent while no target runs are lost.
+  The two pipelines share nothing but the connector: each has its own clock, life cycle and errors. In the target
+  pipeline, the connector is an infinite source. Demand passes through it, so a slow target makes the sender wait,
+  unless the sender's policy drops messages. At most `window:` messages (default 1,000) are in flight. If there are
+  several targets, every target receives every message. Messages sent while no target is running are lost.
 
       iex> connector = Situ.Connector.new("numbers")
       iex> me = self()
@@ -22,8 +22,9 @@ defmodule Situ.Connector do
       iex> :closed
       :closed
 
-  `as: :data` (default) posts the data as a new message at the same originating time, `as: :message` posts the whole
-  `Situ.Message` as data, `as: :envelope` keeps times and sequence id.
+  With `as: :data` (default), the target emits the data as a new message with the same originating time. With
+  `as: :message`, it emits the whole `Situ.Message` as data. With `as: :envelope`, it keeps the times and the sequence
+  id.
   """
   alias Situ.{Argument, Stream}
 
@@ -33,11 +34,11 @@ defmodule Situ.Connector do
   @type t :: %__MODULE__{name: String.t(), ref: reference()}
   @registry __MODULE__.Ends
 
-  @doc "A connector; `name` is what its two ends are called in their pipelines."
+  @doc "Creates a connector. `name` is the default name of its two components in their pipelines."
   @spec new(String.t()) :: t()
   def new(name) when is_binary(name), do: %__MODULE__{name: name, ref: make_ref()}
 
-  @doc "The stream on the receiving side. Options: `as:`, `window:`, `type:`, and those of `Situ.Graph.Placement`."
+  @doc "Returns the stream on the receiving side. Options: `as:`, `window:`, `type:` and `Situ.Graph.Placement`."
   @spec receive(Situ.Pipeline.t(), t(), keyword()) :: Stream.t()
   def receive(p, connector, opts \\ [])
 
@@ -51,7 +52,7 @@ defmodule Situ.Connector do
   def receive(other, _arg2, _arg3),
     do: Argument.refuse!(other, :handle, "Situ.Connector.receive(p, connector)")
 
-  @doc "Sends a stream into the connector. Options: `policy:` and those of `Situ.Graph.Placement`."
+  @doc "Sends a stream into the connector. Options: `policy:` and the options of `Situ.Graph.Placement`."
   @spec send(Stream.t(), t(), keyword()) :: :ok
   def send(stream, connector, opts \\ [])
 
@@ -64,7 +65,7 @@ defmodule Situ.Connector do
   def send(other, _arg2, _arg3),
     do: Argument.refuse!(other, :stream, "Situ.Connector.send(stream, connector)")
 
-  @doc "Waits until a receiving side runs."
+  @doc "Waits until a receiving pipeline is running."
   @spec await_open(t(), timeout()) :: :ok | {:error, Situ.Error.t()}
   def await_open(%__MODULE__{} = connector, timeout) do
     {:ok, _} = Registry.register(@registry, {:waiting, connector.ref}, nil)
@@ -84,12 +85,12 @@ defmodule Situ.Connector do
     receive do
       {:situ_connector_open, ^ref} -> :ok
     after
-      timeout -> {:error, Situ.Error.new(:timeout, "no pipeline receives from the connector")}
+      timeout -> {:error, Situ.Error.new(:timeout, "no pipeline is receiving from the connector")}
     end
   end
 
   @doc false
-  # The receiving side runs: tells those who wait, and answers the sending sides there are.
+  # Registers the receiving side, notifies the processes in `await_open/2`, and returns the current sending sides.
   def open(%__MODULE__{ref: ref}) do
     {:ok, _} = Registry.register(@registry, ref, nil)
 
@@ -100,7 +101,7 @@ defmodule Situ.Connector do
   end
 
   @doc false
-  # The sending side runs: the receiving sides there are learn of it.
+  # Registers the sending side, and offers it to the current receiving sides, which it returns.
   def offer(%__MODULE__{ref: ref}) do
     {:ok, _} = Registry.register(@registry, {:out, ref}, nil)
 
@@ -111,7 +112,7 @@ defmodule Situ.Connector do
   end
 
   @doc false
-  # Messages put in by hand, whatever was asked for.
+  # Injects messages directly, regardless of demand.
   def deliver(%__MODULE__{ref: ref}, messages) do
     for {pid, _} <- Registry.lookup(@registry, ref),
         do: Kernel.send(pid, {:situ_connector, ref, messages})
@@ -125,7 +126,7 @@ end
 
 defmodule Situ.Connector.In do
   @moduledoc false
-  # The receiving side: a consumer, in GenStage's protocol, of every sending side; a source without an end.
+  # The receiving side consumes from every sending side with GenStage's protocol; it is a source without an end.
   use Situ.Component,
     outputs: [out: :any],
     options: [
@@ -143,7 +144,7 @@ defmodule Situ.Connector.In do
     {[{:complete, :infinity}], Enum.reduce(senders, state, &subscribe/2)}
   end
 
-  # Both sides may have found each other.
+  # Both sides may have discovered each other at the same time.
   defp subscribe(pid, state) do
     if Enum.any?(state.subs, fn {_, sub} -> sub.pid == pid end) do
       state
@@ -156,7 +157,7 @@ defmodule Situ.Connector.In do
     end
   end
 
-  # There is room: what was taken is asked for again.
+  # The pipeline has room, so request as many messages as were received.
   @impl true
   def handle_demand(_n, _context, state) do
     {[], %{state | subs: Map.new(state.subs, fn {ref, sub} -> {ref, ask(ref, sub, state)} end)}}
@@ -212,8 +213,8 @@ end
 
 defmodule Situ.Connector.Out do
   @moduledoc false
-  # The sending side: its output has consumers outside the pipeline. Nothing goes out before those that run have
-  # subscribed.
+  # The sending side: its output has consumers outside the pipeline. It holds its messages back until every running
+  # receiving side has subscribed.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],
@@ -253,7 +254,7 @@ end
 
 defmodule Situ.Connector.Once do
   @moduledoc false
-  # One message at the start, for the connector's own example.
+  # Emits one message at the start; used by the example of `Situ.Connector`.
   use Situ.Component, outputs: [out: :any], options: [data: [type: :any, required: true]]
 
   @impl true

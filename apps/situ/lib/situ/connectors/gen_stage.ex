@@ -1,33 +1,34 @@
 defmodule Situ.GenStage do
   @moduledoc """
-  GenStage and Flow as neighbours: Situ's processes speak GenStage's message protocol, so a real GenStage consumer can
-  subscribe to any output and a real GenStage producer can be a source. GenStage itself is not needed.
+  Connects GenStage and Flow to pipelines. Situ's processes use GenStage's message protocol, so a GenStage consumer
+  can subscribe to any output, and a GenStage producer can be a source. Situ does not depend on GenStage.
 
-  ## A GenStage consumer behind an output
+  ## A GenStage consumer on an output
 
       {:ok, {pid, opts}} = Situ.GenStage.subscription(pipeline, "Lobby.Speaking")
       GenStage.sync_subscribe(consumer, [to: pid, max_demand: 500] ++ opts)
 
-  It receives `%Situ.Message{}` structs as events. An output waits for all its subscribers: a consumer that stops
-  asking holds the pipeline up, which is what back-pressure means (`Situ.attach_tap/3` never does). When the output
-  ends the subscription is cancelled with `{:shutdown, {:closed, time}}`; when its component failed, with the
-  `Situ.Error`, so that a `:transient` consumer fails as well.
+  The consumer receives `%Situ.Message{}` structs as events. An output waits for all its subscribers, so a consumer
+  that stops requesting events stalls the pipeline (a tap from `Situ.attach_tap/3` never does). When the output ends,
+  the subscription is canceled with `{:shutdown, {:closed, time}}`. When its component fails, the subscription is
+  canceled with the `Situ.Error`, so that a `:transient` consumer fails as well.
 
-  A pipeline runs as soon as it is started, and what was emitted before somebody subscribed is not seen.
-  `accumulate/2` holds a stream back until `GenStage.demand(pid, :forward)`, which `Flow.from_stages/2` calls by
-  itself.
+  A pipeline starts emitting as soon as it is started, and later subscribers miss the messages emitted before.
+  `accumulate/2` holds a stream back until `GenStage.demand(pid, :forward)`, which `Flow.from_stages/2` calls
+  automatically.
 
   ## A GenStage producer as a source
 
       stream = Situ.GenStage.from(p, producer, type: :integer)
 
-  Events that are `%Situ.Message{}` keep their originating times; other events get the pipeline's clock, at least 1 ns
-  after the one before. When the producer ends in order (`:normal`, `:shutdown`, `{:shutdown, _}`) the stream
-  completes; any other reason is an error of the component, `:producer_failed`, which fails the pipeline unless its
-  `on_error` says otherwise.
+  Events that are `%Situ.Message{}` structs keep their originating times. Other events get the time of the pipeline's
+  clock, at least 1 ns after the event before. When the producer ends normally (`:normal`, `:shutdown`,
+  `{:shutdown, _}`), the stream completes. Any other reason is a `:producer_failed` error of the component, which
+  fails the pipeline unless its `on_error:` option prevents it.
 
-  Without a producer, `from(p, [])`, the stream waits for others to name one: `Flow.into_stages(flow, [pid])` or
-  `GenStage.sync_subscribe(pid, to: producer)`, where `pid` is that of `subscription/2`.
+  Without a producer, as in `from(p, [])`, the stream waits until a producer is assigned with
+  `Flow.into_stages(flow, [pid])` or `GenStage.sync_subscribe(pid, to: producer)`. `subscription/2` returns this
+  `pid`.
 
   ## The messages
 
@@ -36,14 +37,14 @@ defmodule Situ.GenStage do
   | consumer | producer | `{:"$gen_producer", {consumer_pid, tag}, {:subscribe, current, opts}}`; `opts[:output]` names the output |
   | consumer | producer | `{:"$gen_producer", {consumer_pid, tag}, {:ask, count}}` |
   | consumer | producer | `{:"$gen_producer", {consumer_pid, tag}, {:cancel, reason}}` |
-  | producer | consumer | `{:"$gen_consumer", {producer_pid, tag}, [event]}`, never more than asked for |
-  | producer | consumer | `{:"$gen_consumer", {producer_pid, tag}, {:cancel, reason}}`, also in answer to a cancel |
+  | producer | consumer | `{:"$gen_consumer", {producer_pid, tag}, [event]}`, never more than requested |
+  | producer | consumer | `{:"$gen_consumer", {producer_pid, tag}, {:cancel, reason}}`, also in reply to a cancel |
 
-  `tag` is a term the consumer chooses (GenStage: its monitor's reference); with the consumer's pid it names the
-  subscription in both directions. Both sides monitor each other. Of GenStage's calls and casts
-  `:"$estimate_buffered_count"`, `{:"$demand", mode}`, `{:"$info", message}` and (a source) `{:"$subscribe", current,
-  to, opts}` are answered; what is malformed is refused, and never fatal. Within a pipeline tags are the edge's number
-  and the subscription is made at the start.
+  `tag` is a term that the consumer chooses (GenStage uses its monitor reference). Together with the consumer's pid it
+  identifies the subscription in both directions. Both sides monitor each other. Four of GenStage's calls and casts
+  are supported: `:"$estimate_buffered_count"`, `{:"$demand", mode}`, `{:"$info", message}` and, for a source,
+  `{:"$subscribe", current, to, opts}`. Malformed messages are rejected and never crash the process. Within a
+  pipeline, the tag is the edge's number, and the subscription is made at the start.
 
       iex> {:ok, p} = Situ.Pipeline.start(fn p ->
       ...>   p |> Situ.Connector.receive(Situ.Connector.new("x")) |> Situ.map(& &1, name: "Same")
@@ -60,7 +61,7 @@ defmodule Situ.GenStage do
   alias Situ.Pipeline.Client
 
   @doc """
-  Where to subscribe for a stream: the process and the options that name the output. The pipeline must be running.
+  Returns the process to subscribe to and the options that name the output. The pipeline must be running.
   """
   @spec subscription(Situ.Pipeline.target(), Situ.Stream.t() | String.t()) ::
           {:ok, {pid(), keyword()}} | {:error, Situ.Error.t()}
@@ -70,11 +71,11 @@ defmodule Situ.GenStage do
   def subscription(p, name) when is_binary(name), do: Client.call(p, {:subscription, name})
 
   @doc """
-  The events of GenStage producers (a pid or name, or a list of them) as a stream.
+  Returns the events of GenStage producers (a pid or name, or a list of them) as a stream.
 
-  Options: `type:`, `subscribe:` (options for the producers, such as `partition:`, `selector:`, `max_demand:` (1,000),
-  `min_demand:` (half of it) and `cancel:`, with `:temporary` a producer's failure ends its subscription only), and
-  those of `Situ.Graph.Placement`.
+  The options are `type:`, `subscribe:` and the placement options. `subscribe:` holds options for the
+  producers, such as `partition:`, `selector:`, `max_demand:` (default 1,000), `min_demand:` (default half of
+  `max_demand:`) and `cancel:`. With `cancel: :temporary`, a producer's failure ends only its subscription.
   """
   @spec from(Situ.Pipeline.t(), GenServer.server() | [GenServer.server()], keyword()) ::
           Situ.Stream.t()
@@ -90,9 +91,9 @@ defmodule Situ.GenStage do
     do: Argument.refuse!(other, :handle, "Situ.GenStage.from(p, producer)")
 
   @doc """
-  The stream, held back until a consumer lets it go with `GenStage.demand(pid, :forward)`: none of its messages is
-  lost to one that subscribes after the start. A pipeline whose sources have ended waits for it; one that is stopped
-  does not. Options: those of `Situ.Graph.Placement`.
+  Holds the stream back until a consumer releases it with `GenStage.demand(pid, :forward)`, so that a consumer that
+  subscribes after the start loses no messages. A pipeline whose sources have ended waits for the release; a pipeline
+  that is stopped does not. Options: `Situ.Graph.Placement`.
 
       Situ.from_enumerable(p, 0..999, every: Situ.Time.ms(1)) |> Situ.GenStage.accumulate(name: "Numbers")
   """
@@ -112,7 +113,7 @@ end
 
 defmodule Situ.GenStage.Gate do
   @moduledoc false
-  # Passes everything on, once it is told to.
+  # Holds messages back until a consumer sets the demand to `:forward`.
   use Situ.Component, inputs: [in: :any], outputs: [out: :any]
 
   @impl true
@@ -127,8 +128,8 @@ end
 
 defmodule Situ.GenStage.Source do
   @moduledoc false
-  # The consumer's side of the protocol: asks each producer for `max_demand`, and again once the pipeline has taken
-  # part of it.
+  # The consumer side of the protocol: requests `max_demand` events from each producer, and more once the pipeline has
+  # consumed part of them.
   use Situ.Component,
     outputs: [out: :any],
     options: [
@@ -159,7 +160,7 @@ defmodule Situ.GenStage.Source do
     end
   end
 
-  # There is room: what was taken is asked for again, as soon as it is the better part of the window.
+  # The pipeline has room: requests the consumed events again once they are at least `max - min`.
   @impl true
   def handle_demand(_n, _context, state) do
     {[], %{state | subs: Map.new(state.subs, fn {ref, sub} -> {ref, ask(ref, sub)} end)}}
@@ -182,7 +183,8 @@ defmodule Situ.GenStage.Source do
       when is_map_key(state.subs, ref) and is_list(events) do
     n = length(events)
     state = update_in(state.subs[ref].taken, &(&1 + n))
-    # The last of them is now, if there is room for the others between it and those before.
+
+    # The last event is stamped with the current time, unless the earlier events leave too little room before it.
     first =
       max(context.now - n + 1, if(state.last, do: state.last + 1, else: context.now - n + 1))
 
@@ -194,7 +196,7 @@ defmodule Situ.GenStage.Source do
       when is_map_key(state.subs, ref),
       do: ended(ref, reason, context, state)
 
-  # By messages of its own: an error that is skipped takes back only what belongs to its own message.
+  # Both arrive as separate messages, because skipping an error undoes only the effects of the message that raised.
   def handle_info({:situ_producer_failed, error}, _context, _state), do: raise(error)
 
   def handle_info(:situ_producer_ended, context, %{subs: subs, ended: false} = state)
@@ -215,7 +217,9 @@ defmodule Situ.GenStage.Source do
   end
 
   def handle_request(request, from, _context, state) do
-    what = "a GenStage source does not answer #{inspect(request, limit: 8, printable_limit: 80)}"
+    what =
+      "a GenStage source does not support the request #{inspect(request, limit: 8, printable_limit: 80)}"
+
     reply(from, {:error, Error.new(:unknown_request, what)}, state)
   end
 
@@ -255,7 +259,7 @@ defmodule Situ.GenStage.Source do
 
   defp bad_options(opts) do
     Error.new(:bad_subscription, "cannot subscribe with #{inspect(opts, limit: 8)}",
-      why: "the options are a keyword list with 0 <= min_demand < max_demand"
+      why: "the options must be a keyword list with 0 <= min_demand < max_demand"
     )
   end
 
@@ -265,12 +269,12 @@ defmodule Situ.GenStage.Source do
       pid -> {:ok, pid}
     end
   rescue
-    # No name that a process can have.
+    # The term is not a valid process name.
     FunctionClauseError -> {:error, none(producer)}
   end
 
   defp none(producer),
-    do: Error.new(:no_producer, "no process #{inspect(producer)} to subscribe to")
+    do: Error.new(:no_producer, "cannot subscribe to #{inspect(producer)}: process not found")
 
   defp stopped, do: Error.new(:not_running, "the stream has ended", why: "its producers ended")
 
@@ -298,8 +302,8 @@ defmodule Situ.GenStage.Source do
 
   defp failed(pid, reason) do
     Error.new(:producer_failed, "the GenStage producer #{inspect(pid)} failed: #{reason(reason)}",
-      why: "it cancelled the subscription or died with this reason",
-      fix: "a partition dispatcher needs subscribe: [partition: ...]; see the producer's log",
+      why: "it canceled the subscription or exited with this reason",
+      fix: "see the producer's log; a partition dispatcher needs subscribe: [partition: ...]",
       meta: %{reason: reason}
     )
   end

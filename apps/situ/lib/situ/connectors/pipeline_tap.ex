@@ -1,11 +1,11 @@
 defmodule Situ.Pipeline.Tap do
   @moduledoc """
-  A look at a stream of a running pipeline, attached and detached while it runs; see `Situ.attach_tap/3`.
+  A tap on a stream of a running pipeline, which can be attached and detached at any time; see `Situ.attach_tap/3`.
 
-  The function runs in a process of its own behind a lossy queue (default `Situ.Delivery.max_queue(1_000)`), so a slow
-  or stuck tap costs the pipeline nothing but the copy of the messages. A tap that raises skips the message. It goes
-  with its pipeline, and with the process that attached it. The function runs on the node of the process that attached
-  it, also where the pipeline runs on another; then one message at a time is on its way.
+  The function runs in its own process, which has a lossy queue (default `Situ.Delivery.max_queue(1_000)`), so a slow
+  or stuck tap costs the pipeline only the copying of messages. If the function raises, the message is skipped. The
+  tap ends with its pipeline and with the process that attached it. The function runs on the node of the process that
+  attached the tap. If the pipeline is on another node, one message at a time is in flight.
 
       iex> me = self()
       iex> connector = Situ.Connector.new("taps")
@@ -29,15 +29,15 @@ defmodule Situ.Pipeline.Tap do
   @enforce_keys [:pipeline, :id]
   defstruct [:pipeline, :id, :here]
 
-  @typedoc "`here`: the process that runs the function for a pipeline of another node."
+  @typedoc "`here` is the process that runs the function, if the pipeline is on another node."
   @type t :: %__MODULE__{pipeline: pid(), id: pos_integer(), here: pid() | nil}
 
   @schema [
     policy: [
       type: {:struct, Situ.Delivery},
-      doc: "The delivery policy of its queue; default `Situ.Delivery.max_queue(1_000)`."
+      doc: "The delivery policy of its queue. Default: `Situ.Delivery.max_queue(1_000)`."
     ],
-    name: [type: :string, doc: "Its name in diagnostics; default \"Tap\"."]
+    name: [type: :string, doc: "The name of the tap in diagnostics. Default: \"Tap\"."]
   ]
 
   @doc false
@@ -79,7 +79,7 @@ defmodule Situ.Pipeline.Tap do
     is_pid(pid) and node(pid) != node()
   end
 
-  @doc "Takes the tap away; a tap whose pipeline has ended is gone already."
+  @doc "Removes the tap. Does nothing if its pipeline has already ended."
   @spec detach(t()) :: :ok
   def detach(%__MODULE__{} = tap) do
     if tap.here, do: Here.stop(tap.here)
@@ -106,7 +106,7 @@ end
 
 defmodule Situ.Pipeline.Tap.Sink do
   @moduledoc false
-  # The component behind a tap.
+  # The component that runs the function of a tap, or forwards messages to the node that does.
   use Situ.Component, inputs: [in: :any], options: [fun: [type: {:fun, 1}], to: [type: :any]]
   alias Situ.Pipeline.Tap.Here
 
@@ -127,8 +127,8 @@ end
 
 defmodule Situ.Pipeline.Tap.Here do
   @moduledoc false
-  # Runs the function of a tap on a pipeline of another node. It ends with the process that attached the tap, and with
-  # the pipeline.
+  # Runs the function of a tap on a pipeline of another node. Ends with the process that attached the tap and with the
+  # pipeline.
   use GenServer
   require Logger
 
@@ -144,7 +144,7 @@ defmodule Situ.Pipeline.Tap.Here do
   @spec stop(pid()) :: :ok
   def stop(here), do: GenServer.cast(here, :stop)
 
-  @doc "Returns when the function has run; at once when there is nobody any more to run it."
+  @doc "Returns when the function has handled the message, or immediately if the process has ended."
   @spec hand_over(pid(), Situ.Message.t()) :: :ok
   def hand_over(here, message) do
     GenServer.call(here, {:message, message}, :infinity)
@@ -164,7 +164,7 @@ defmodule Situ.Pipeline.Tap.Here do
     {:reply, :ok, fun}
   rescue
     error ->
-      Logger.warning("a tap raised: " <> Exception.message(error))
+      Logger.warning("the function of a tap raised: " <> Exception.message(error))
       {:reply, :ok, fun}
   end
 

@@ -1,6 +1,6 @@
 defmodule Situ.Tap do
   @moduledoc """
-  A place in a running pipeline where any process may listen.
+  A point in a running pipeline that any process can subscribe to.
 
       {level, tap} = Situ.Tap.new(level)
       ...
@@ -9,16 +9,22 @@ defmodule Situ.Tap do
         {:situ_tap, ^tap, message} -> IO.inspect(message.data)
       end
 
-  A subscriber gets `{:situ_tap, tap, message}` for each message from then on and `{:situ_tap_end, tap, how}` when
-  there will be no more: `how` is `{:closed, time}`, or the `Situ.Error` that ended the pipeline. It gets nothing once
-  it has unsubscribed or ended. A listener does not slow the pipeline down: when more than `max_queue:` messages
-  (default 10,000) wait in its mailbox, it misses messages.
+  A subscriber receives `{:situ_tap, tap, message}` for each message from then on, and `{:situ_tap_end, tap, how}`
+  after the last message. `how` is `{:closed, time}`, or the `Situ.Error` that ended the pipeline. A subscriber
+  receives nothing after it has unsubscribed or ended. Subscribers do not slow the pipeline down: a subscriber misses
+  messages while more than `max_queue:` messages (default 10,000) are waiting in its mailbox.
   """
 
   alias Situ.{Argument, Operator, Stream}
   alias Situ.Graph.Placement
 
-  @schema [max_queue: [type: :pos_integer, default: 10_000, doc: "See above."]]
+  @schema [
+    max_queue: [
+      type: :pos_integer,
+      default: 10_000,
+      doc: "A subscriber with more waiting messages than this misses messages."
+    ]
+  ]
 
   @enforce_keys [:ref]
   defstruct [:ref]
@@ -47,7 +53,7 @@ defmodule Situ.Tap do
       {[{:out, message.originating_time, message.data}], state}
     end
 
-    # Why it ends is for the pipeline to say: it fails as a whole.
+    # The reason for the end comes from the pipeline, because a pipeline fails as a whole.
     @impl true
     def handle_closed(_input, time, context, {tap, limit, _}) do
       case Situ.Pipeline.Client.call(context.pipeline, :failure) do
@@ -83,7 +89,7 @@ defmodule Situ.Tap do
   @doc false
   def registry, do: {Registry, keys: :duplicate, name: __MODULE__}
 
-  @doc "A tap behind `stream`: the stream that goes on, and the tap to subscribe to."
+  @doc "Adds a tap to `stream`. Returns the stream after the tap, and the tap to subscribe to."
   @spec new(Stream.t(), keyword()) :: {Stream.t(), t()}
   def new(stream, opts \\ [])
 
@@ -96,18 +102,18 @@ defmodule Situ.Tap do
 
   def new(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.tap(stream)")
 
-  @doc "The calling process gets messages from now on."
+  @doc "Subscribes the calling process to the messages from now on."
   @spec subscribe(t()) :: :ok
   def subscribe(%__MODULE__{ref: ref}) do
     unless self() in subscribers(ref), do: {:ok, _} = Registry.register(__MODULE__, ref, nil)
     :ok
   end
 
-  @doc "The calling process gets no more messages."
+  @doc "Unsubscribes the calling process."
   @spec unsubscribe(t()) :: :ok
   def unsubscribe(%__MODULE__{ref: ref}), do: Registry.unregister(__MODULE__, ref)
 
-  @doc "Whether anyone listens."
+  @doc "Returns whether the tap has any subscribers."
   @spec subscribed?(t()) :: boolean()
   def subscribed?(%__MODULE__{ref: ref}), do: subscribers(ref) != []
 

@@ -1,7 +1,7 @@
 defmodule Situ.Diagnostics.Averages do
   @moduledoc false
-  # Means over a span of time, out of totals that only grow: marks of them are kept, and what lies between the newest
-  # one that is old enough and now is the window. Pure.
+  # Computes means over a time span from totals that only grow. It keeps marks of earlier totals; the window is the
+  # difference between the current totals and the newest mark that is old enough. Pure.
   alias Situ.Diagnostics.Window
   alias Situ.Ports.Counters
 
@@ -24,11 +24,11 @@ defmodule Situ.Diagnostics.Averages do
     sized: 0
   }
 
-  @doc "From `time` on, when nothing had happened yet."
+  @doc "Starts at `time` with totals of zero."
   @spec new(pos_integer(), Situ.Time.t()) :: t()
   def new(span, time), do: %__MODULE__{span: span, marks: [{time, %{}}]}
 
-  @doc "Remembers the totals at `time`, unless it has just done so: there are at most some twenty marks."
+  @doc "Adds a mark of the totals at `time` unless the last mark is too recent; this keeps at most about 20 marks."
   @spec mark(t(), Situ.Time.t(), edges()) :: t()
   def mark(%__MODULE__{marks: [{last, _} | _], span: span} = averages, time, _edges)
       when time <= last or time - last < div(span, 16),
@@ -39,7 +39,7 @@ defmodule Situ.Diagnostics.Averages do
     %{averages | marks: [{time, edges} | later ++ Enum.take(earlier, 1)]}
   end
 
-  @doc "The window that ends at `time` with these totals: one for each edge."
+  @doc "Returns the window of each edge that ends at `time` with these totals."
   @spec windows(t(), Situ.Time.t(), edges()) :: %{pos_integer() => Window.t()}
   def windows(%__MODULE__{marks: marks, span: span}, time, edges) do
     {from, before} = Enum.find(marks, List.last(marks), fn {at, _} -> at <= time - span end)
@@ -47,7 +47,7 @@ defmodule Situ.Diagnostics.Averages do
     Map.new(edges, fn {id, now} -> {id, between(Map.get(before, id, @zero), now, time - from)} end)
   end
 
-  @doc "Means of everything up to now, with the keys of `Situ.Diagnostics.Edge`."
+  @doc "Returns the means since the start, with the keys of `Situ.Diagnostics.Edge`."
   @spec overall(Counters.totals()) :: map()
   def overall(totals) do
     all = between(@zero, totals, 0)

@@ -1,8 +1,9 @@
 defmodule Situ.Diagnostics do
   @moduledoc """
-  A running pipeline seen from outside: `Situ.Diagnostics.Snapshot`, and a table of it for people.
+  Inspects a running pipeline from outside, as a `Situ.Diagnostics.Snapshot` or as a table for people.
 
-  Numbers come from shared counters and from the VM's process table; no component is asked, so a stuck one is seen.
+  The numbers come from shared counters and from the VM's process table. No component is asked, so stuck components
+  are visible, too.
 
       iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.source(p, Situ.Component.Empty) end)
       iex> [node] = report.snapshot.nodes
@@ -13,9 +14,9 @@ defmodule Situ.Diagnostics do
   alias Situ.Diagnostics.{Snapshot, Window}
 
   @doc """
-  The Diagnostics stream of the pipeline being built: a snapshot every `interval:` ns (default 100 ms). Asked for
-  twice it is the same stream; `diagnostics: true` among the pipeline's settings adds it too, for tools to find under
-  the name "Diagnostics".
+  Returns the Diagnostics stream of the pipeline being built, which emits a snapshot every `interval:` ns (default 100
+  ms). Repeated calls return the same stream. The pipeline setting `diagnostics: true` adds it as well, so that tools
+  find it under the name "Diagnostics".
   """
   @spec stream(Graph.Handle.t(), keyword()) :: Situ.Stream.t()
   def stream(%Situ.Graph.Handle{} = p, opts \\ []) do
@@ -34,22 +35,22 @@ defmodule Situ.Diagnostics do
     end
   end
 
-  @doc "The snapshot as a compact table, for iex; means are of the last averaging span."
+  @doc "Formats the snapshot as a compact table for IEx; means are over the last averaging span."
   @spec format(Snapshot.t()) :: String.t()
   defdelegate format(snapshot), to: Situ.Diagnostics.Table
 
-  @doc "`part` in percent of `whole`; 0.0 of nothing."
+  @doc "Returns `part` as a percentage of `whole`, or 0.0 if `whole` is zero."
   @spec percent(number(), number()) :: float()
   defdelegate percent(part, whole), to: Window
 
-  @doc "A window's count as so many per second."
+  @doc "Converts a count of the window to a rate per second."
   @spec rate(number(), Window.t()) :: float()
   defdelegate rate(n, window), to: Window
 
   @doc """
-  A snapshot, or the connections of it for which `which?` is true, in a few numbers: how many of everything there are,
-  what went over the connections (in all and in the window), and the ids of those whose producer waits. Connections
-  inside a process have no queue and do not count.
+  Summarizes a snapshot, or only the connections for which `which?` returns true. Returns the number of each kind of
+  element, the traffic of the connections (in total and in the window), and the ids of the connections whose producer
+  is waiting. Connections within a process have no queue and are not counted.
 
       iex> {:ok, report} = Situ.Pipeline.run(fn p ->
       ...>   p |> Situ.from_enumerable(0..9, every: 1) |> Situ.each(& &1, policy: Situ.Delivery.max_queue(100))

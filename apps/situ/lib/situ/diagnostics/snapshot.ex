@@ -1,13 +1,14 @@
 defmodule Situ.Diagnostics.Snapshot do
   @moduledoc """
-  A pipeline at one moment: its graph with every statistic, as plain structs, lists, numbers and strings, without any
-  pid, reference or function, so that it can be stored, sent and drawn.
+  A pipeline at one moment: its graph with every statistic. It contains only plain structs, lists, numbers and
+  strings, no pids, references or functions, so that it can be stored, sent and drawn.
 
     * `pipeline`: name; `state`: `:building | :starting | :running | :stopping | :completed`
     * `time`: pipeline clock, ns; `start_time`; `progress`: 0.0 to 1.0
-    * `scopes`: paths of the composites, outer ones first (`["Mouth", "Mouth.Crop"]`); each is drawn as a box
+    * `scopes`: paths of the composites, outer composites first (`["Mouth", "Mouth.Crop"]`); each is drawn as a box
     * `nodes`: `Situ.Diagnostics.Node`; `edges`: `Situ.Diagnostics.Edge`, joined by node ids
-    * `processes`: `Situ.Diagnostics.Process`; nodes that share one (chained operators) name the same process number
+    * `processes`: `Situ.Diagnostics.Process`; nodes that share a process (chained operators) have the same process
+      number
   """
   defstruct pipeline: nil,
             state: :building,
@@ -36,12 +37,13 @@ defmodule Situ.Diagnostics.Node do
   @moduledoc """
   One component in a `Situ.Diagnostics.Snapshot`.
 
-    * `id`, `path` (`"Mouth.Crop"`), `scope` (`"Mouth"` or `nil`), `module` (its name as text, `"Operator"` for light
-      ones)
+    * `id`, `path` (`"Mouth.Crop"`), `scope` (`"Mouth"` or `nil`), `module` (its name as a string, `"Operator"` for
+      light operators)
     * `kind`: `:source | :component | :operator | :tap`; `state`: `:running | :closed | :failed`
-    * `process`: number of the process it runs in, or `nil` before the start
-    * `inputs`, `outputs`: lists of `%{name, type, stream}`, all text; `stream` is the stream's name (outputs only)
-    * `errors`, `restarts`, `skipped`: counts; `description`: what the component's `describe/1` said last, or `nil`
+    * `process`: number of the process that runs it, or `nil` before the start
+    * `inputs`, `outputs`: lists of `%{name, type, stream}`, all strings; `stream` is the stream's name (outputs only)
+    * `errors`, `restarts`, `skipped`: counts; `description`: the last result of the component's `describe/1`, or
+      `nil`
   """
   defstruct [
     :id,
@@ -81,13 +83,15 @@ defmodule Situ.Diagnostics.Window do
   @moduledoc """
   The traffic of a connection in the last averaging span (`averaging:` among the pipeline's settings, default 1 s).
 
-    * `span`: how long the window really is, ns of the pipeline's clock: up to half a span more than asked for, less
-      just after the start
+    * `span`: the actual length of the window, ns of the pipeline's clock: up to half a span more than requested, and
+      less just after the start
     * `emitted`, `processed`, `dropped`: counts
-    * `created`, `posted`, `latency`: mean ages of messages when they were made, handed to the queue and taken, ns
-    * `handling`: mean time in the consumer, ns; `queue`: mean length left when a message was taken; `size`: mean bytes
+    * `created`, `posted`, `latency`: mean ages of messages when they were created, queued and taken by the consumer,
+      ns
+    * `handling`: mean time in the consumer, ns; `queue`: mean length left when a message was taken; `size`: mean
+      bytes
 
-  A mean of nothing is `nil`.
+  A mean without any messages is `nil`.
 
       iex> window = %Situ.Diagnostics.Window{span: 2_000_000_000, emitted: 50, processed: 30, dropped: 10}
       iex> {Situ.Diagnostics.rate(window.processed, window), Situ.Diagnostics.percent(window.dropped, window.emitted)}
@@ -117,12 +121,12 @@ defmodule Situ.Diagnostics.Window do
           size: non_neg_integer() | nil
         }
 
-  @doc "`part` in percent of `whole`; 0.0 of nothing."
+  @doc "Returns `part` as a percentage of `whole`, or 0.0 if `whole` is not positive."
   @spec percent(number(), number()) :: float()
   def percent(_part, whole) when whole <= 0, do: 0.0
   def percent(part, whole), do: part * 100 / whole
 
-  @doc "A window's count as so many per second."
+  @doc "Converts a count of the window to a rate per second."
   @spec rate(number(), t()) :: float()
   def rate(_n, %__MODULE__{span: 0}), do: 0.0
   def rate(n, %__MODULE__{span: span}), do: n * 1.0e9 / span
@@ -132,21 +136,21 @@ defmodule Situ.Diagnostics.Edge do
   @moduledoc """
   One connection in a `Situ.Diagnostics.Snapshot`. Counts are totals since the start, times are ns.
 
-    * `from`, `from_output`, `to`, `to_input`: node ids and port names (text); `policy`: its name
-    * `kind`: `:process` (a queue between two processes) or `:inline` (inside one process: no queue; counts are those of
-      the chain's entry)
-    * `emitted`: handed to the queue; `processed`: taken by the consumer; `dropped`: by the policy; `queue`: waiting
-      now (emitted - processed - dropped), `queue_mean`: how many were left waiting when a message was taken;
-      `throttled`: the producer waits for this edge
-    * `created_last`, `created_mean`: creation time - originating time; `posted_last`, `posted_mean`: clock when it
-      was handed to the queue - originating time (more than the former where an importer or a connector keeps creation
-      times); `latency_last`, `latency_mean`, `latency_p99`: clock when the consumer took it - originating time; p99
-      is the upper bound of its histogram bucket (within 25 %)
-    * `handling_last`, `handling_mean`: time spent in the consumer per message; `busy`: the sum of it
-    * `size_last`, `size_mean`: bytes of the data, with `message_sizes: true` among the pipeline's settings, else 0
+    * `from`, `from_output`, `to`, `to_input`: node ids and port names (strings); `policy`: its name
+    * `kind`: `:process` (a queue between two processes) or `:inline` (inside one process, without a queue; the counts
+      of the chain's entry)
+    * `emitted`: messages added to the queue; `processed`: messages taken by the consumer; `dropped`: messages dropped
+      by the policy; `queue`: messages waiting now (emitted - processed - dropped); `queue_mean`: mean number left
+      waiting when a message was taken; `throttled`: whether the producer is waiting for this edge
+    * `created_last`, `created_mean`: creation time - originating time; `posted_last`, `posted_mean`: clock when the
+      message was queued - originating time (more than the creation delay if an importer or a connector keeps creation
+      times); `latency_last`, `latency_mean`, `latency_p99`: clock when the consumer took the message - originating
+      time; p99 is the upper bound of its histogram bucket (within 25 %)
+    * `handling_last`, `handling_mean`: time spent in the consumer per message; `busy`: their sum
+    * `size_last`, `size_mean`: bytes of the data, with the pipeline setting `message_sizes: true`; otherwise 0
     * `window`: the same means and counts over the last averaging span, a `Situ.Diagnostics.Window`
 
-  Means are over messages. Under load messages travel in batches and the last one of a batch speaks for it.
+  Means are per message. Under load, messages travel in batches, and the last message of a batch is measured for all.
   """
   alias Situ.Diagnostics.Window
 
@@ -211,9 +215,10 @@ end
 
 defmodule Situ.Diagnostics.Process do
   @moduledoc """
-  One process of a pipeline in a `Situ.Diagnostics.Snapshot`: `number`, `pid` (as text, `""` once it has ended),
-  `nodes` (paths it hosts, in order), `memory` (bytes), `mailbox` (messages waiting), `reductions` (total), `status`
-  (`"waiting"`, `"running"` ...), `busy_in` (the function it is in, as text: names what a stuck component is doing).
+  One process of a pipeline in a `Situ.Diagnostics.Snapshot`: `number`, `pid` (a string, `""` once it has ended),
+  `nodes` (paths of its nodes, in order), `memory` (bytes), `mailbox` (messages waiting), `reductions` (total),
+  `status` (`"waiting"`, `"running"` ...), `busy_in` (the function that it is executing, as a string; shows where a
+  component is stuck).
   """
   defstruct number: 0,
             pid: "",

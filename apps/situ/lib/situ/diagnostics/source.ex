@@ -1,9 +1,11 @@
 defmodule Situ.Diagnostics.Source do
   @moduledoc false
-  # The Diagnostics stream: a snapshot every interval at the pipeline's clock, and a last one at the stop.
+  # The Diagnostics stream emits a snapshot every interval of the pipeline's clock, and a last one when it stops.
   use Situ.Component,
     outputs: [out: Situ.Diagnostics.Snapshot],
-    options: [interval: [type: :pos_integer, default: 100_000_000, doc: "Between snapshots, ns."]]
+    options: [
+      interval: [type: :pos_integer, default: 100_000_000, doc: "Time between snapshots, ns."]
+    ]
 
   @impl true
   def init(opts), do: {:ok, {opts[:interval], nil}}
@@ -12,7 +14,7 @@ defmodule Situ.Diagnostics.Source do
   def handle_start(context, {interval, _} = state),
     do: {[{:complete, :infinity}, {:timer, :tick, context.start_time + interval}], state}
 
-  # The stop's snapshot may be stamped with a time that the clock has not reached: no tick comes after it.
+  # The last snapshot may have a time that the clock has not reached yet, so later ticks must not emit.
   @impl true
   def handle_info({:timer, :tick}, %{now: now}, {_, last} = state)
       when last != nil and now <= last,
@@ -25,7 +27,7 @@ defmodule Situ.Diagnostics.Source do
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  # The last one is stamped with the end, whenever it is taken.
+  # The last snapshot gets the end time of the pipeline, regardless of when it is taken.
   @impl true
   def handle_stop(final, context, {interval, last}) when last == nil or final > last,
     do: {[post(context, final)], {interval, final}}

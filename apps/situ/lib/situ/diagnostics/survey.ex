@@ -1,12 +1,12 @@
 defmodule Situ.Diagnostics.Survey do
   @moduledoc false
-  # Makes a snapshot of what the server knows: graph, stages, counters, tallies. Asks no component.
+  # Builds a snapshot from the server's data (graph, stages, counters, tallies) without asking any component.
   alias Situ.{Delivery, Graph, Type}
   alias Situ.Diagnostics.{Averages, Edge, Node, Process, Snapshot, Window}
   alias Situ.Graph.Vertex
   alias Situ.Ports.{Counters, Tally}
 
-  @doc "`view` is what the server knows: graph, stages, taps (their vertices), counters with their totals and windows."
+  @doc "Builds a snapshot. `view` holds the graph, the stages, the vertices of taps, and counters, totals and windows."
   @spec snapshot(map()) :: Snapshot.t()
   def snapshot(view) do
     place = places(view.stages)
@@ -112,7 +112,7 @@ defmodule Situ.Diagnostics.Survey do
     |> Map.put(:window, Map.get(view.windows, id, %Window{}))
   end
 
-  # Inside a chain there is no queue: what entered the chain is what there is to tell.
+  # A chain has no queues inside, so its inner edges show the numbers of the chain's entry.
   defp inline(base, view, place, from) do
     with {stage, _} <- Map.get(place, from, nil),
          entry when entry != nil <- view.entries[hd(stage.vertices).id],

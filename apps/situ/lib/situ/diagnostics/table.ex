@@ -1,6 +1,6 @@
 defmodule Situ.Diagnostics.Table do
   @moduledoc false
-  # A snapshot as text for people.
+  # Formats a snapshot as text for people.
   alias Situ.Diagnostics.{Snapshot, Window}
 
   @spec format(Snapshot.t()) :: String.t()

@@ -1,18 +1,19 @@
 defmodule Situ.Diagnostics.Trace do
   @moduledoc """
-  One originating time on its way through a running pipeline: where its message is now, and where it waited. See
+  The route of one originating time through a running pipeline: where its message is now, and where it waited. See
   `Situ.trace/2`.
 
-    * `time`: the originating time asked for; `now`: the pipeline's clock
-    * `hops`: one for each connection between processes, in the order of construction:
+    * `time`: the requested originating time; `now`: the time of the pipeline's clock
+    * `hops`: one map for each connection between processes, in order of construction:
       `%{from, to, state, sent, taken, waited, queue}`
-    * `inside`: paths of the components that have taken it and have not sent anything of that time or later: it is in
-      there, or ended there (a sink, a filter)
+    * `inside`: paths of the components that have taken the message but have not sent any message with that time or a
+      later one: the message is in the component, or ended there (in a sink or a filter)
 
-  `state` of a hop is `:coming` (nothing of that time or later was sent), `:waiting` (sent, but `to` is not done with
-  it: it waits in the queue, or is being handled) or `:passed` (taken, or dropped by the policy). `sent` and `taken` are
-  times of the pipeline's clock, right within a millisecond, `:forgotten` when too long ago (128 ms with messages and
-  more in them), `waited` what lies between them: up to now while it waits. `queue` is how many messages wait there.
+  `state` of a hop is `:coming` (no message with that time or later was sent), `:waiting` (sent, but `to` has not
+  finished with it: it is in the queue, or is being handled) or `:passed` (taken, or dropped by the policy). `sent`
+  and `taken` are times of the pipeline's clock, accurate to a millisecond, or `:forgotten` if they are too old (at
+  least 128 ms in which messages were sent). `waited` is the time from `sent` to `taken`, or to now while the message
+  is waiting. `queue` is the number of messages waiting there.
 
       iex> {:ok, p} = Situ.Pipeline.start(fn p ->
       ...>   p |> Situ.timer(every: Situ.Time.ms(1)) |> Situ.each(& &1, name: "Sink", async: true)
@@ -47,7 +48,7 @@ defmodule Situ.Diagnostics.Trace do
         }
 
   @doc false
-  # `links` join stages by their ids, `stages` hold their vertices.
+  # `links` connect stages by id; `stages` hold their vertices.
   @spec new(Situ.Time.t(), Situ.Time.t(), map()) :: t()
   def new(time, now, %{links: links, counters: counters, stages: stages}) do
     hops =
@@ -92,7 +93,7 @@ defmodule Situ.Diagnostics.Trace do
     max(emitted - processed - dropped, 0)
   end
 
-  # Every input has taken it, no output has sent it.
+  # True if an input has taken the message and no output has sent it.
   defp inside?(id, %{vertices: [head | _]}, hops) do
     into = for {%{to: ^id}, hop} <- hops, do: hop
     out_of = for {%{from: ^id}, hop} <- hops, do: hop
@@ -101,10 +102,10 @@ defmodule Situ.Diagnostics.Trace do
       Enum.all?(out_of, &(&1.state == :coming))
   end
 
-  # A process goes by the name of its last component, whose output leaves it.
+  # A process is shown under the name of its last component, whose output leaves the process.
   defp last(stage), do: List.last(stage.vertices).path
 
-  @doc "The trace as text for people: where the message is, and a line for each connection."
+  @doc "Formats the trace as text: the current position of the message, and a line for each connection."
   @spec format(t()) :: String.t()
   def format(%__MODULE__{} = trace) do
     waiting = for hop <- trace.hops, hop.state == :waiting, do: "waits for #{hop.to}"

@@ -1,27 +1,27 @@
 defmodule Situ.Argument do
   @moduledoc false
-  # The errors of public functions that were called with a wrong argument. Each names what the function takes, what it
-  # was given and what to write instead.
+  # The errors of public functions that were called with an invalid argument. Each error names the expected argument,
+  # the given value and the code to write instead.
   alias Situ.Graph.Handle
   alias Situ.{Node, Stream}
 
   @typedoc """
-  The kind of argument that a function takes: a stream, streams, a pipeline that is being built, a running pipeline, a
-  function that builds one, a node, or a description in words.
+  The kind of argument that a function expects: a stream, streams, a pipeline that is being built, a running pipeline,
+  a function that builds a pipeline, a node, or a description in words.
   """
   @type kind :: :stream | :streams | :handle | :target | :build | :node | String.t()
 
   @doc """
   Raises an `ArgumentError`; `example` shows a correct call.
 
-  Where `value` is of the right kind, the arguments after it are wrong.
+  If `value` is of the expected kind, the error says that the arguments after it are invalid.
   """
   @spec refuse!(term(), kind(), String.t()) :: no_return()
   def refuse!(value, kind, example),
     do:
       raise(ArgumentError, "#{function_name(example)} #{describe_mistake(value, kind, example)}")
 
-  @doc "Returns the stream itself; raises for anything else."
+  @doc "Returns the stream unchanged; raises for any other value."
   @spec stream!(term(), String.t()) :: Stream.t()
   def stream!(%Stream{} = stream, _example), do: stream
   def stream!(value, example), do: refuse!(value, :stream, example)
@@ -73,7 +73,7 @@ defmodule Situ.Argument do
   end
 
   defp suggest_fix(%Handle{}, kind, example) when kind in [:stream, :streams],
-    do: "add a source first, and use its stream: stream = Situ.source(p, Camera), then #{example}"
+    do: "add a source and use its stream: stream = Situ.source(p, Camera), then #{example}"
 
   defp suggest_fix(%{} = map, kind, example)
        when kind in [:stream, :streams] and not is_struct(map),
@@ -83,7 +83,7 @@ defmodule Situ.Argument do
     do: "take one of its outputs: stream = Situ.Node.output(node, :out), then #{example}"
 
   defp suggest_fix(%Stream{}, :handle, example),
-    do: "a stream knows its pipeline: p = stream.pipeline, then #{example}"
+    do: "use the pipeline of the stream: p = stream.pipeline, then #{example}"
 
   defp suggest_fix(pid, :handle, example) when is_pid(pid),
     do: "extend a running pipeline with Situ.Pipeline.extend(pid, fn p -> #{example} end)"

@@ -1,12 +1,12 @@
 defmodule Situ.Graph.Builder do
   @moduledoc false
-  # Holds graphs while they are built: in the dictionary of the process that builds (a pipeline runs `build/2` itself,
-  # so adding a component is a map update), or behind a call for a pipeline that was opened empty and is built from
-  # outside.
+  # Holds a graph while it is being built. The graph is in the dictionary of the process that builds it: a pipeline
+  # runs `build/2` itself, so adding a component is a map update. A pipeline that was opened empty and is built from
+  # another process is changed by a call.
   alias Situ.{Error, Graph}
   alias Situ.Graph.Handle
 
-  @doc "A handle whose graph this process holds from now on."
+  @doc "Opens a graph in the calling process and returns its handle."
   @spec open(Graph.t(), pid()) :: Handle.t()
   def open(graph \\ %Graph{}, pid \\ self()) do
     ref = make_ref()
@@ -14,11 +14,11 @@ defmodule Situ.Graph.Builder do
     %Handle{pid: pid, ref: ref}
   end
 
-  @doc "Ends the building: the graph, no longer held."
+  @doc "Removes the graph from the process and returns it."
   @spec close(Handle.t()) :: Graph.t() | nil
   def close(%Handle{ref: ref}), do: Process.delete({__MODULE__, ref})
 
-  @doc "The graph so far."
+  @doc "Returns the current graph."
   @spec peek(Handle.t()) :: Graph.t() | nil
   def peek(%Handle{ref: ref}), do: Process.get({__MODULE__, ref})
 
@@ -34,10 +34,10 @@ defmodule Situ.Graph.Builder do
     end
   end
 
-  @doc "Runs `fun` while this process holds `graph`: what it returns, and the graph with what it has added."
+  @doc "Runs `fun` while this process holds `graph`; returns its result and the graph with its additions."
   @spec lend(Handle.t(), Graph.t(), (() -> result)) :: {result, Graph.t()} when result: term()
   def lend(%Handle{ref: ref}, graph, fun) do
-    # A handler may extend the pipeline while it holds a graph itself.
+    # A handler may extend the pipeline while it holds a graph, too.
     outer = Process.put({__MODULE__, ref}, graph)
 
     try do
@@ -75,12 +75,12 @@ defmodule Situ.Graph.Builder do
       raise Error.new(:not_running, "the pipeline has ended")
   end
 
-  @doc "The error of changing a graph that already runs."
+  @doc "Returns the error for a change to a graph that is already running."
   @spec running() :: Error.t()
   def running do
     Error.new(:pipeline_running, "the pipeline is already running",
       why: "components and connections are fixed when it starts",
-      fix: "build it first; to look into a running pipeline use Situ.attach_tap/3"
+      fix: "add components before it starts; to look at a running pipeline use Situ.attach_tap/3"
     )
   end
 end

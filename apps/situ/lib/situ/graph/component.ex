@@ -1,6 +1,7 @@
 defmodule Situ.Component do
   @moduledoc """
-  A component: a pure state machine over time-stamped messages. Processes, queues and back-pressure live elsewhere.
+  A component is a pure state machine over timestamped messages. Processes, queues and back-pressure are implemented
+  elsewhere.
 
       defmodule Doubler do
         use Situ.Component,
@@ -17,27 +18,28 @@ defmodule Situ.Component do
         end
       end
 
-  Callbacks return `{actions, state}`. An action is
+  Callbacks return `{actions, state}`. The actions are:
 
-    * `{output, originating_time, data}`: emit a message; originating times strictly increase per output;
-    * `{output, %Situ.Message{}}` or `{output, [%Situ.Message{}]}`: emit and keep the envelopes' times and sequence
-      ids (importers, connectors);
-    * `{:complete, time}` or `{:complete, :infinity}`: a source knows its last originating time, or that it has none;
-    * `{:close, output}` or `{:close, output, time}`: nothing more will come out of this output;
+    * `{output, originating_time, data}`: emit a message; originating times must strictly increase per output;
+    * `{output, %Situ.Message{}}` or `{output, [%Situ.Message{}]}`: emit messages and keep the times and sequence ids
+      of their envelopes (importers, connectors);
+    * `{:complete, time}` or `{:complete, :infinity}`: a source announces its last originating time, or that it has no
+      end;
+    * `{:close, output}` or `{:close, output, time}`: close this output; no more messages will follow;
     * `{:timer, key, time}`: call `handle_info({:timer, key}, ...)` when the pipeline's clock reaches `time`;
-    * `{:continue, term}`: call `handle_info({:continue, term}, ...)` as soon as the outputs have room, before
-      anything else is taken in: for what gives more than a few hundred messages at once;
-    * `{:hold, input}`: take nothing from `input` for 20 ms of real time (then `handle_info({:hold_ended, input},
-      ...)` is called), or until `{:resume, input}`: its producer runs out of demand and waits. For components that
-      must not let one input run far ahead;
-    * `{:linger, true}`: its inputs have closed, but it has something to give later, by a timer: its outputs stay open
-      until `{:linger, false}`. When the pipeline is stopped meanwhile, `handle_info({:linger, :end}, ...)` asks it for
-      what is left
-    * `{:detach, input, opts}`: an input that `handle_attach/5` took is not needed any more; `opts` are the
-      component's options from now on;
-    * `{:demand, :accumulate}`: emit nothing and take nothing until `{:demand, :forward}` (or `GenStage.demand(pid,
-      :forward)`);
-    * `:stopped`: a source that answered `handle_stop/3` with `:stopping` has now posted its last message.
+    * `{:continue, term}`: call `handle_info({:continue, term}, ...)` as soon as the outputs have room, before any
+      other message is taken; for components that emit more than a few hundred messages in one call;
+    * `{:hold, input}`: take no messages from `input` for 20 ms of real time (then
+      `handle_info({:hold_ended, input}, ...)` is called), or until `{:resume, input}`. The producer runs out of
+      demand and waits. For components that must not let one input run far ahead;
+    * `{:linger, true}`: keep the outputs open after all inputs have closed, because a timer will emit more messages;
+      `{:linger, false}` ends this. If the pipeline is stopped before, `handle_info({:linger, :end}, ...)` requests
+      the remaining messages;
+    * `{:detach, input, opts}`: detach an input that `handle_attach/5` accepted; `opts` are the component's options
+      from now on;
+    * `{:demand, :accumulate}`: emit and take nothing until `{:demand, :forward}` (or
+      `GenStage.demand(pid, :forward)`);
+    * `:stopped`: a source that returned `:stopping` from `handle_stop/3` has now emitted its last message.
   """
 
   alias Situ.Component.Context
@@ -60,52 +62,52 @@ defmodule Situ.Component do
           | :stopped
   @type result :: {[action()], state()}
 
-  @doc "Builds the state from validated options. Must not touch the outside world: that is `handle_start/2`."
+  @doc "Builds the state from validated options. Must have no side effects; those belong in `handle_start/2`."
   @callback init(opts :: keyword()) :: {:ok, state()} | {:error, Situ.Error.t()}
 
-  @doc "The pipeline starts: open devices and files, set timers, emit, say `:complete`."
+  @doc "Called when the pipeline starts: opens devices and files, sets timers, emits, returns `:complete`."
   @callback handle_start(Context.t(), state()) :: result()
 
-  @doc "Pull sources: produce up to `n` messages now. Defining this callback makes the component a pull source."
+  @doc "Produces up to `n` messages now. Defining this callback makes the component a pull source."
   @callback handle_demand(n :: pos_integer(), Context.t(), state()) :: result()
 
-  @doc "One message arrived on `input`."
+  @doc "Handles one message from `input`."
   @callback handle_message(input :: atom(), Situ.Message.t(), Context.t(), state()) :: result()
 
   @doc """
-  Several messages that arrived on `input`, in order: what `handle_message/4` would do with them one by one, at once.
+  Handles several messages from `input`, in order, with the same result as calling `handle_message/4` for each.
 
-  Optional, for components that are much faster this way. Messages of other inputs may be older or newer than these,
-  so it fits where the order among inputs does not matter. When it raises, the messages are taken one by one instead.
+  Optional, for components that are much faster in batches. Messages of other inputs may be older or newer than these,
+  so use it only if the order among inputs does not matter. If it raises, the messages are handled one by one instead.
   """
   @callback handle_messages(input :: atom(), [Situ.Message.t(), ...], Context.t(), state()) ::
               result()
 
-  @doc "`input` closed at `time`, after its last message: flush what depends on it."
+  @doc "Called when `input` has closed at `time`, after its last message; emits any output that depends on it."
   @callback handle_closed(input :: atom(), Situ.Time.t(), Context.t(), state()) :: result()
 
-  @doc "A plain process message (push sources), or `{:timer, key}`."
+  @doc "Handles a plain process message (push sources), or `{:timer, key}`."
   @callback handle_info(term(), Context.t(), state()) :: result()
 
   @doc """
-  Another process asks with `GenServer.call/3`, or casts (then `from` is `nil`); answer with `GenServer.reply/2`, now
-  or later.
+  Handles a `GenServer.call/3` from another process, or a cast (`from` is then `nil`). Reply with `GenServer.reply/2`,
+  now or later.
 
-  Optional: without it a call is answered with an error and a cast is ignored.
+  Optional: without this callback, calls return an error and casts are ignored.
   """
   @callback handle_request(request :: term(), GenServer.from() | nil, Context.t(), state()) ::
               result()
 
-  @doc "A source is asked to stop: it may still emit up to `final_time`; with `:stopping` it goes on until `:stopped`."
+  @doc "Asks a source to stop. It may emit up to `final_time`, or return `:stopping` and continue until `:stopped`."
   @callback handle_stop(final_time :: Situ.Time.t(), Context.t(), state()) :: result()
 
   @doc """
-  An input is added while the pipeline runs, for what `request` says (see `Situ.Fusion.add_input/4`). Messages up to
-  the originating time `last` will not come, all later ones will. The answer goes to the caller; `opts` are the
-  component's options from now on, which it starts with when it is restarted.
+  Adds an input while the pipeline is running, as described by `request` (see `Situ.Fusion.add_input/4`). The input
+  will receive no messages up to the originating time `last`, and all later ones. The reply is sent to the caller.
+  `opts` are the component's options from now on, which are also used if it is restarted.
 
-  Optional, for components whose inputs come and go. Messages of an input that the component has detached may still
-  arrive.
+  Optional, for components whose inputs can be added and removed. Messages of an input that the component has detached
+  may still arrive.
   """
   @callback handle_attach(
               input :: atom(),
@@ -117,39 +119,40 @@ defmodule Situ.Component do
               {:ok, reply :: term(), opts :: keyword(), [action()], state()}
               | {:error, Situ.Error.t()}
 
-  @doc "An added input shall go; the component emits `{:detach, input, opts}` once it needs it no more."
+  @doc "Requests the removal of an added input; the component emits `{:detach, input, opts}` when it is ready."
   @callback handle_detach(request :: term(), Context.t(), state()) ::
               {:ok, reply :: term(), opts :: keyword(), [action()], state()}
               | {:error, Situ.Error.t()}
 
-  @doc "Release what was opened. Runs for every reason a component ends but a kill."
+  @doc "Releases all resources. Called whenever a component ends, for any reason except a kill."
   @callback terminate(reason :: term(), state()) :: any()
 
-  @doc "Carries the state over when the component is replaced while it runs."
+  @doc "Converts the state when the component is replaced while it is running."
   @callback migrate(state(), old_opts :: keyword(), new_opts :: keyword()) ::
               {:ok, state()} | {:error, Situ.Error.t()}
 
   @doc """
-  The state as plain data, for a checkpoint (`Situ.Pipeline.checkpoint/3`). Without it the state itself is taken, which
-  must hold no processes, ports or references then. Called between messages; it must not change anything.
+  Returns the state as plain data, for a checkpoint (`Situ.Pipeline.checkpoint/3`). Without this callback the state
+  itself is taken, which then must not contain processes, ports or references. Called between messages; it must not
+  change anything.
   """
   @callback snapshot(state()) :: {:ok, data :: term()} | {:error, Situ.Error.t()}
 
   @doc """
-  Takes up what `snapshot/1` gave: `fresh` is the state after `init/1` and `handle_start/2`, in a new process, perhaps
-  on another machine.
+  Restores the state from the data that `snapshot/1` returned. `fresh` is the state after `init/1` and
+  `handle_start/2`, in a new process, possibly on another machine.
   """
   @callback restore(data :: term(), fresh :: state()) ::
               {:ok, state()} | {:error, Situ.Error.t()}
 
-  @doc "One line about the state, for people (diagnostics, studio)."
+  @doc "Describes the state in one line for people (diagnostics, Studio)."
   @callback describe(state()) :: String.t()
 
-  @doc "Names and types of inputs: `[name: type]` or `[name: {type, optional: true}]`."
+  @doc "Returns the names and types of the inputs: `[name: type]` or `[name: {type, optional: true}]`."
   @callback inputs() :: keyword()
-  @doc "Names and types of outputs."
+  @doc "Returns the names and types of the outputs."
   @callback outputs() :: keyword()
-  @doc "The option schema, see `Situ.Options`."
+  @doc "Returns the option schema, see `Situ.Options`."
   @callback options() :: Situ.Options.schema()
 
   @optional_callbacks handle_demand: 3, handle_messages: 4, handle_attach: 5, handle_detach: 3

@@ -1,13 +1,13 @@
 defmodule Situ.Graph.Cycle do
   @moduledoc false
-  # The shortest way from a component back to itself. Pure.
+  # Finds the shortest path from a component back to itself. Pure.
   #
-  # That nothing on a cycle makes its messages later cannot be known before it runs: each has a component on it (light
-  # operators take their input when they are made), and what times a component gives is its own affair. So the error
-  # comes when the first message has come round, and this says by which way.
+  # Before the pipeline runs, we cannot know whether a component on a cycle delays its messages. Each cycle contains a
+  # component (a light operator gets its input when it is built), and a component chooses its own times. The error
+  # therefore occurs when the first message has passed around the cycle, and this module reports the cycle.
   alias Situ.{Error, Graph}
 
-  @doc "The paths on it, the first again at the end; `nil` when there is no way back."
+  @doc "Returns the component paths on the cycle, with the first repeated at the end; `nil` without a cycle."
   @spec through(Graph.t(), pos_integer()) :: [String.t()] | nil
   def through(%Graph{} = graph, id) do
     next =
@@ -17,7 +17,7 @@ defmodule Situ.Graph.Cycle do
          do: Enum.map(ids, &graph.vertices[&1].path)
   end
 
-  # Ways as lists, the last vertex first; the shorter ones come first.
+  # Each way is a list of vertices with the last vertex first; shorter ways are searched first.
   defp search([], _id, _next, _seen), do: nil
 
   defp search([[last | _] = way | ways], id, next, seen) do
@@ -31,12 +31,12 @@ defmodule Situ.Graph.Cycle do
     end
   end
 
-  @doc "The error of a time that does not increase, with the cycle that brought it, if one did."
+  @doc "Adds the cycle, if there is one, to an error about a time that does not increase."
   @spec explain(Error.t(), Graph.t()) :: Error.t()
   def explain(%Error{code: :time_not_increasing, meta: %{component: path}} = error, graph) do
     with %{^path => id} <- graph.paths, [_ | _] = cycle <- through(graph, id) do
       why =
-        "it lies on the cycle #{Enum.join(cycle, " -> ")}, on which nothing makes messages later"
+        "it is on the cycle #{Enum.join(cycle, " -> ")}, and no component on it delays its messages"
 
       %{error | why: "#{error.why}; #{why}", meta: Map.put(error.meta, :cycle, cycle)}
     else

@@ -1,20 +1,20 @@
 defmodule Situ.Delivery do
   @moduledoc """
-  Delivery policies: what the queue in front of an input does when messages come faster than they are taken.
+  Delivery policies decide how an input's queue behaves when messages arrive faster than they are consumed.
 
   | policy | loses messages | what happens under load |
   |---|---|---|
-  | `unlimited/1` (default) | never | at most a window of 1,000 messages is in flight, then the producer waits |
-  | `throttle/2` | never | the same with a window of `n` (default 128) |
+  | `unlimited/1` (default) | never | the producer waits once a window of 1,000 messages is in flight |
+  | `throttle/2` | never | the same with a window of `n` messages (default 128) |
   | `synchronous/1` | never | light operators run inside the producer's process; other consumers are throttled |
   | `latest/1` | yes | only the newest waiting message is kept |
-  | `max_queue/2` | yes | the `n` newest waiting messages are kept; with `throttle: true` sources that can wait do |
-  | `max_latency/2` | yes | messages older than `d` when their turn comes are dropped |
+  | `max_queue/2` | yes | the `n` newest waiting messages are kept; `throttle: true` makes sources wait that can |
+  | `max_latency/2` | yes | messages older than `d` when they would be consumed are dropped |
 
-  Every policy takes `guarantee: fn data -> boolean end`: what it answers `true` for is never dropped. Guarantees add
-  up (`with_guarantee/2`). A push source (a camera) cannot wait: in front of a lossless input its output buffer grows.
-  A policy that drops keeps its queue at the producer, so a consumer that is slow never holds more than the queue's
-  size.
+  Every policy takes `guarantee: fn data -> boolean end`. Messages for which the function returns `true` are never
+  dropped. `with_guarantee/2` adds further guarantees. A push source (a camera) cannot wait, so its output buffer
+  grows if the input is lossless. A dropping policy keeps its queue at the producer, so a slow consumer never holds
+  more than the size of the queue.
 
       iex> policy = Situ.Delivery.max_queue(3, guarantee: &is_atom/1)
       iex> {Situ.Delivery.lossy?(policy), policy.max_queue}
@@ -45,15 +45,15 @@ defmodule Situ.Delivery do
         }
 
   @schema [
-    guarantee: [type: {:fun, 1}, doc: "Data this answers `true` for is never dropped."],
+    guarantee: [type: {:fun, 1}, doc: "Data for which this returns `true` is never dropped."],
     window: [
       type: {:or, [:pos_integer, {:in, [:infinity]}]},
       default: @window,
-      doc: "Messages in flight before the producer waits; `:infinity` never makes it wait."
+      doc: "Messages in flight before the producer waits; with `:infinity` it never waits."
     ]
   ]
 
-  @doc "Lossless, with back-pressure after `window:` (default 1,000) messages in flight."
+  @doc "Returns a lossless policy with back-pressure after `window:` (default 1,000) messages in flight."
   @spec unlimited(keyword()) :: t()
   def unlimited(opts \\ []), do: build(:unlimited, [], opts)
 
@@ -64,8 +64,8 @@ defmodule Situ.Delivery do
   @doc """
   Keeps the `n` newest waiting messages.
 
-  With `throttle: true` a full queue stops the producers that can wait (files, generators, operators behind them) and
-  drops only the messages of sources that cannot (a camera, a timer).
+  With `throttle: true`, a full queue stops the producers that can wait (files, generators, and operators downstream
+  of them) and drops only the messages of sources that cannot wait (cameras, timers).
   """
   @spec max_queue(pos_integer(), keyword()) :: t()
   def max_queue(n, opts \\ []) when is_integer(n) and n > 0 do
@@ -83,24 +83,26 @@ defmodule Situ.Delivery do
     do: build(:max_latency, [max_latency: d], opts)
 
   @doc """
-  Lossless: the producer waits as soon as `n` messages wait for the consumer, beside the one that it handles.
+  Returns a lossless policy: the producer waits as soon as `n` messages are waiting for the consumer, in addition to
+  the message being handled.
 
-  With `throttle(1)` a light operator runs in the process of a producer that can wait, where one message at a time is
-  all there is. Between processes (other consumers, `async: true`) it is dear: two messages cost two wake-ups, some
-  5 us. The default of 128 keeps little on its way at nearly the price of `unlimited/1`.
+  With `throttle(1)`, a light operator runs in the process of a producer that can wait; one message at a time is then
+  the natural limit. Between processes (other consumers, `async: true`) `throttle(1)` is expensive: two messages cost
+  two wake-ups, about 5 us. The default of 128 keeps few messages in flight at nearly the cost of `unlimited/1`.
   """
   @spec throttle(pos_integer(), keyword()) :: t()
   def throttle(n \\ @small_window, opts \\ []) when is_integer(n) and n > 0,
     do: build(:throttle, [], Keyword.put(opts, :window, n))
 
   @doc """
-  Lossless: a light operator runs in its producer's process, without a queue; any other consumer as with `throttle/2`.
+  Returns a lossless policy: a light operator runs in its producer's process, without a queue. Any other consumer is
+  throttled as with `throttle/2`.
   """
   @spec synchronous(keyword()) :: t()
   def synchronous(opts \\ []),
     do: build(:synchronous, [], Keyword.put_new(opts, :window, @small_window))
 
-  @doc "Adds a guarantee: what either predicate protects is kept."
+  @doc "Adds a guarantee. Data is kept if either predicate returns `true`."
   @spec with_guarantee(t(), (term() -> boolean())) :: t()
   def with_guarantee(%__MODULE__{guarantee: nil} = policy, keep?) when is_function(keep?, 1),
     do: %{policy | guarantee: keep?}
@@ -109,7 +111,7 @@ defmodule Situ.Delivery do
     do: %{policy | guarantee: fn data -> before?.(data) or keep?.(data) end}
 
   @doc """
-  A policy by name, for configuration files and command lines.
+  Parses a policy name, for configuration files and command lines.
 
       iex> {:ok, policy} = Situ.Delivery.parse("max_queue(5)")
       iex> policy.max_queue
@@ -143,7 +145,7 @@ defmodule Situ.Delivery do
   }
 
   @doc """
-  Returns which call to write instead of a value that is not a policy, or `nil`.
+  Returns a hint with the call to write instead of a value that is not a policy, or `nil`.
 
       iex> Situ.Delivery.suggest(:lastest)
       "did you mean Situ.Delivery.latest()?"
@@ -160,12 +162,12 @@ defmodule Situ.Delivery do
 
   def suggest(_other), do: nil
 
-  @doc "Whether the policy may drop messages."
+  @doc "Returns whether the policy may drop messages."
   @spec lossy?(t()) :: boolean()
   def lossy?(%__MODULE__{max_queue: :infinity, max_latency: :infinity}), do: false
   def lossy?(%__MODULE__{}), do: true
 
-  @doc "The policy in a word, for diagnostics."
+  @doc "Returns a short name of the policy, for diagnostics."
   @spec name(t()) :: String.t()
   def name(%__MODULE__{kind: :max_queue, max_queue: n}), do: "max_queue(#{n})"
   def name(%__MODULE__{kind: :throttle, window: n}), do: "throttle(#{n})"
@@ -183,6 +185,6 @@ defmodule Situ.Delivery do
     names = ~w[unlimited latest throttle synchronous max_queue(5) max_latency(1000000)]
     near = Options.nearest(text, names)
     fix = if near, do: "did you mean #{inspect(near)}?", else: "known: " <> Enum.join(names, ", ")
-    Error.new(:unknown_policy, "no delivery policy #{inspect(text)}", fix: fix)
+    Error.new(:unknown_policy, "unknown delivery policy #{inspect(text)}", fix: fix)
   end
 end

@@ -1,6 +1,7 @@
 defmodule Situ.Graph.Edge do
   @moduledoc """
-  One connection: `from` = `{vertex, output}`, `to` = `{vertex, input}`, and the policy of the queue in between.
+  A connection: `from` is `{vertex, output}`, `to` is `{vertex, input}`, and `policy` is the delivery policy of its
+  queue.
   """
   @enforce_keys [:id, :from, :to, :policy]
   defstruct [:id, :from, :to, :policy, explicit: false]

@@ -1,9 +1,9 @@
 defmodule Situ.Graph.Extension do
   @moduledoc false
-  # Parts added to a graph that runs already, and taken away again. Pure.
+  # Adds parts to a graph that is already running, and removes them again. Pure.
   alias Situ.{Error, Graph}
 
-  @doc "Leaves the next `n` numbers to somebody else."
+  @doc "Skips the next `n` ids of each kind, so that another graph can use them."
   @spec advance(Graph.t(), pos_integer()) :: Graph.t()
   def advance(%Graph{} = graph, n) do
     %{
@@ -14,7 +14,7 @@ defmodule Situ.Graph.Extension do
     }
   end
 
-  @doc "Whether `built` has components or connections that `graph` has not."
+  @doc "Returns whether `built` has components or connections that `graph` does not have."
   @spec grown?(Graph.t(), Graph.t()) :: boolean()
   def grown?(built, graph) do
     added = added(built, graph)
@@ -22,8 +22,8 @@ defmodule Situ.Graph.Extension do
   end
 
   @doc """
-  The additions in `built`, a copy of `offered` that was built on. Whatever happens to the running graph meanwhile, no
-  more than this was asked for: nothing that was removed comes back.
+  Returns the additions in `built`, which was built on a copy of `offered`. Only these additions are merged, so parts
+  that are removed from the running graph in the meantime do not return.
   """
   @spec added(Graph.t(), Graph.t()) :: Graph.t()
   def added(%Graph{} = built, %Graph{} = offered) do
@@ -39,7 +39,7 @@ defmodule Situ.Graph.Extension do
     }
   end
 
-  @doc "`graph` with the additions, and the ids of the new vertices."
+  @doc "Merges the additions into `graph`; returns the graph and the ids of the new vertices."
   @spec merge(Graph.t(), Graph.t()) ::
           {:ok, Graph.t(), MapSet.t(pos_integer())} | {:error, Error.t()}
   def merge(%Graph{} = graph, %Graph{} = added) do
@@ -73,7 +73,7 @@ defmodule Situ.Graph.Extension do
         {:error,
          Error.new(:duplicate_name, "there is already a component named #{inspect(name)}",
            why: "it was added at the same time",
-           fix: "give one of them another name:"
+           fix: "choose a different name:"
          )}
     end
   end
@@ -89,8 +89,8 @@ defmodule Situ.Graph.Extension do
     end
   end
 
-  # Running components take no new connections to their inputs, and the new ones may only listen to components that
-  # still exist.
+  # Running components accept no new connections to their inputs, and new components may subscribe only to components
+  # that still exist.
   defp whole(edges, ids, graph) do
     Enum.find_value(edges, :ok, fn %{from: {from, _}, to: {to, input}} ->
       cond do
@@ -120,7 +120,7 @@ defmodule Situ.Graph.Extension do
     )
   end
 
-  @doc "The graph without these vertices, their connections and names; composites that are empty now go, too."
+  @doc "Removes these vertices with their connections and names, and the composites that are empty afterward."
   @spec without(Graph.t(), MapSet.t(pos_integer())) :: Graph.t()
   def without(%Graph{} = graph, ids) do
     gone? = &MapSet.member?(ids, &1)

@@ -1,9 +1,9 @@
 defmodule Situ.Graph do
   @moduledoc """
-  The graph of a pipeline as plain data: vertices in order of construction, edges, names, replay proposals.
+  The graph of a pipeline as plain data: vertices in order of construction, edges, names and replay proposals.
 
-  Everything here is pure. `Situ.Graph.Builder` holds the graph being built; `Situ.Graph.build/1` builds one without any
-  pipeline process, for components that run graphs of their own:
+  All functions here are pure. `Situ.Graph.Builder` holds the graph during construction. `Situ.Graph.build/1` builds a
+  graph without a pipeline process, for components that run their own graphs:
 
       iex> {graph, node} = Situ.Graph.build(fn p -> Situ.Pipeline.add(p, Situ.Component.Empty, name: "A") end)
       iex> {node.path, Map.keys(graph.vertices)}
@@ -47,12 +47,12 @@ defmodule Situ.Graph do
         }
 
   @doc """
-  Runs `fun` with a handle of a new graph held by this process alone; returns the graph and the function's result.
+  Runs `fun` with the handle of a new graph that only this process holds; returns the graph and the function's result.
   """
   @spec build((Situ.Graph.Handle.t() -> result)) :: {t(), result} when result: term()
   def build(fun) when is_function(fun, 1), do: Situ.Graph.Builder.collect(fun)
 
-  @doc "Adds a component; `opts` are its own and those of `Situ.Graph.Placement`. Raises `Situ.Error`."
+  @doc "Adds a component with its own options and the options of `Situ.Graph.Placement`. Raises `Situ.Error`."
   @spec add(t(), Situ.Graph.Handle.t(), module(), keyword()) :: {Situ.Node.t(), t()}
   def add(%__MODULE__{} = graph, handle, module, opts) do
     check_module!(module)
@@ -76,7 +76,7 @@ defmodule Situ.Graph do
     insert(graph, handle, vertex, placed[:outputs] || module.outputs(), name, placed[:name])
   end
 
-  @doc "Adds a light operator behind `stream`; see `Situ.Operator.attach/5`."
+  @doc "Adds a light operator that consumes `stream`; see `Situ.Operator.attach/5`."
   @spec add_operator(t(), Situ.Stream.t(), map()) :: {Situ.Node.t(), t()}
   def add_operator(%__MODULE__{} = graph, stream, spec) do
     opts = spec.opts
@@ -102,7 +102,7 @@ defmodule Situ.Graph do
     {node, graph}
   end
 
-  @doc "Connects a stream to a node's input. Raises `Situ.Error` when ports, types or pipelines do not fit."
+  @doc "Connects a stream to a node's input. Raises `Situ.Error` if the port, the type or the pipeline does not match."
   @spec connect(t(), Situ.Stream.t(), Situ.Node.t(), atom(), keyword()) :: {:ok, t()}
   def connect(%__MODULE__{} = graph, stream, node, input, opts \\ []) do
     opts = Options.validate!(opts, policy: [type: {:optional, {:struct, Delivery}}])
@@ -129,7 +129,7 @@ defmodule Situ.Graph do
     {:ok, %{graph | edges: edges, connected: connected, next_edge: edge.id + 1}}
   end
 
-  @doc "Names a stream; the name must be free."
+  @doc "Names a stream. Raises `Situ.Error` if the name is already in use."
   @spec name_stream(t(), Situ.Stream.t(), String.t()) :: {:ok, t()}
   def name_stream(%__MODULE__{} = graph, stream, name) do
     port = {stream.node, stream.output}
@@ -144,21 +144,21 @@ defmodule Situ.Graph do
     policy: [
       type: {:optional, {:struct, Delivery}},
       doc:
-        "For connections inside without a policy of their own; by default that of what surrounds it."
+        "Default policy of the connections inside. Without it, the policy of the surrounding composite or pipeline."
     ],
     on_error: [
       type: {:in, [:stop, :restart, :close]},
       default: :stop,
       doc:
-        "When a component inside would end the pipeline: it does, all of the composite restarts, " <>
-          "or all of it ends (as by `stop_part/3`)."
+        "If a component inside fails and would end the pipeline: end the pipeline, restart the whole composite, " <>
+          "or close the whole composite (as `stop_part/3` does)."
     ]
   ]
 
   @doc false
   def scope_schema, do: @scope
 
-  @doc "Makes `name` below `scope` a scope of its own, unique like a node's path; inside its options hold."
+  @doc "Opens the scope `name` within `scope`, with a unique path. Its options apply to the components inside."
   @spec open_scope(t(), String.t() | nil, String.t(), keyword()) :: {String.t(), t()}
   def open_scope(%__MODULE__{} = graph, scope, name, opts \\ []) do
     opts = Options.validate!(opts, @scope)
@@ -172,12 +172,12 @@ defmodule Situ.Graph do
 
   defp surrounding(graph, scope), do: Map.get(graph.scopes, scope, %{policy: nil, unit: nil})
 
-  @doc "Default name of an output's stream: the node's path, with the output's name when it has several."
+  @doc "Returns the default name of an output's stream: the node's path, plus the output's name if there are several."
   @spec stream_name(String.t(), atom(), keyword()) :: String.t()
   def stream_name(path, _output, [_only]), do: path
   def stream_name(path, output, _outputs), do: path <> "." <> Atom.to_string(output)
 
-  @doc "Every stream's name and the vertex and output it comes from; an explicit name replaces the default one."
+  @doc "Returns every stream's name with its vertex and output; an explicit name replaces the default name."
   @spec stream_names(t()) :: %{String.t() => {pos_integer(), atom()}}
   def stream_names(%__MODULE__{} = graph) do
     default =
@@ -188,7 +188,7 @@ defmodule Situ.Graph do
     Map.merge(default, graph.stream_names)
   end
 
-  @doc "The stream of this name. Raises `Situ.Error`."
+  @doc "Returns the stream with this name. Raises `Situ.Error` if there is none."
   @spec stream!(t(), Situ.Graph.Handle.t(), String.t()) :: Situ.Stream.t()
   def stream!(%__MODULE__{} = graph, handle, name) do
     named = stream_names(graph)
@@ -203,7 +203,7 @@ defmodule Situ.Graph do
     end
   end
 
-  @doc "The error for a stream that does not exist, with the nearest name."
+  @doc "Returns the error for a stream that does not exist, with the nearest name."
   @spec unknown_stream(term(), [String.t()]) :: Error.t()
   def unknown_stream(name, known) do
     near = is_binary(name) && Options.nearest(name, known)
@@ -214,7 +214,7 @@ defmodule Situ.Graph do
     Error.new(:unknown_stream, "the pipeline has no stream #{inspect(name)}", fix: fix)
   end
 
-  @doc "The error for a port that does not exist, with the nearest name."
+  @doc "Returns the error for a port that does not exist, with the nearest name."
   @spec unknown_port(:input | :output, Situ.Node.t(), atom()) :: Error.t()
   def unknown_port(kind, node, name) do
     known = Keyword.keys(if kind == :input, do: node.inputs, else: node.outputs)
@@ -264,7 +264,7 @@ defmodule Situ.Graph do
 
   defp ports(list) do
     Enum.map(list, fn
-      # Exactly this: `{:tuple, [optional: type]}` is a type.
+      # Match only this form, because `{:tuple, [optional: type]}` is a type.
       {name, {type, [optional: optional]}} when is_boolean(optional) ->
         {name, %{type: checked!(type), optional: optional}}
 
@@ -297,7 +297,7 @@ defmodule Situ.Graph do
     if taken?(graph, path), do: raise(duplicate("component", path)), else: {path, graph}
   end
 
-  # The smallest number that is free; those below the one that was found last are not.
+  # Finds the smallest free number. Numbers below the last one found are known to be in use.
   defp numbered(graph, path, n) do
     name = path <> Integer.to_string(n)
 
@@ -328,7 +328,7 @@ defmodule Situ.Graph do
       raise Error.new(
               :different_pipeline,
               "stream #{inspect(stream.name)} and #{node.path} belong to different pipelines",
-              fix: "carry the stream over with Situ.Connector"
+              fix: "send the stream to the other pipeline with Situ.Connector"
             )
     end
   end
@@ -344,7 +344,7 @@ defmodule Situ.Graph do
         raise Error.new(
                 :already_connected,
                 "input #{to.path}.#{input} is already connected to #{other.path}",
-                why: "an input takes one stream",
+                why: "an input accepts only one stream",
                 fix: "merge the streams first (Situ.merge/2)"
               )
     end
@@ -356,14 +356,14 @@ defmodule Situ.Graph do
               :type_mismatch,
               "#{from.path}.#{stream.output} emits #{Type.to_string(stream.type)}, " <>
                 "but #{to.path}.#{input} takes #{Type.to_string(type)}",
-              fix: "convert it in between (Situ.map/3), or correct a declared type"
+              fix: "convert the data with Situ.map/3, or correct the declared type"
             )
     end
   end
 
   defp duplicate(kind, name) do
     Error.new(:duplicate_name, "there is already a #{kind} named #{inspect(name)}",
-      fix: "give one of them another name:"
+      fix: "choose a different name:"
     )
   end
 end

@@ -1,9 +1,9 @@
 defmodule Situ.Graph.Handle do
   @moduledoc """
-  The handle of a pipeline under construction: the process that owns the graph, a reference unique to the graph, and
-  the scope (the path of the composite being built, or `nil`) below which components are added.
+  The handle of a pipeline under construction: the process that owns the graph, a unique reference to the graph, and
+  the scope in which components are added (the path of the composite being built, or `nil`).
 
-  `Situ.Pipeline.new/1` makes one, `build/2` gets one, and every stream and node carries one.
+  `Situ.Pipeline.new/1` creates a handle, `build/2` receives it, and every stream and node contains it.
   """
   @enforce_keys [:pid, :ref]
   defstruct [:pid, :ref, :scope]

@@ -1,6 +1,6 @@
 defmodule Situ.Node do
   @moduledoc """
-  A component placed in a pipeline: what `Situ.Pipeline.add/3` returns and what streams are connected to.
+  A component in a pipeline. `Situ.Pipeline.add/3` returns it, and streams are connected to it.
 
     * `pipeline`: the handle it belongs to
     * `id`: 1, 2, 3 ... in the order of construction
@@ -24,7 +24,7 @@ defmodule Situ.Node do
           outputs: keyword()
         }
 
-  @doc "The stream of one output. Raises `Situ.Error` (`:unknown_output`) when there is none of this name."
+  @doc "Returns the stream of an output. Raises `Situ.Error` (`:unknown_output`) if the output does not exist."
   @spec output(t(), atom()) :: Situ.Stream.t()
   def output(%__MODULE__{} = node, name) do
     case Keyword.fetch(node.outputs, name) do
@@ -40,7 +40,7 @@ defmodule Situ.Node do
   def output(other, _name),
     do: Situ.Argument.refuse!(other, :node, "Situ.Node.output(node, :out)")
 
-  @doc "The only output's stream, or a map of name and stream when there are several (`%{}` for none)."
+  @doc "Returns the stream of the only output, or a map from name to stream for several outputs (`%{}` for none)."
   @spec streams(t()) :: Situ.Stream.t() | %{atom() => Situ.Stream.t()}
   def streams(%__MODULE__{outputs: [{name, _}]} = node), do: output(node, name)
 

@@ -1,19 +1,19 @@
 defmodule Situ.Operator do
   @moduledoc """
-  Light operators: functions over the data of a stream that keep its times.
+  Light operators are functions on the data of a stream that preserve its times.
 
-  A straight run of light operators runs in one process; inside it only the data changes, and one envelope is made at
-  its end. An explicit `policy:` (other than `Situ.Delivery.synchronous/1` and `throttle(1)`), `async: true`, a second
-  consumer or a second input starts a new process.
+  A linear chain of light operators runs in one process. Within it only the data is passed on, and one envelope is
+  built at the end. An explicit `policy:` (other than `Situ.Delivery.synchronous/1` and `throttle(1)`), `async: true`,
+  a second consumer or a second input starts a new process.
 
-  A step is
+  The possible steps are:
 
-    * `{:map, fun}`: `fun.(data)` or `fun.(data, message)` gives the new data;
-    * `{:filter, fun}`: passes data for which it is true;
-    * `{:each, fun}`: called for its effect, passes the data on;
-    * `{:step, fun, state}`: `fun.(data, message, state)` answers `{:emit, data, state}` or `{:skip, state}`.
+    * `{:map, fun}`: `fun.(data)` or `fun.(data, message)` returns the new data;
+    * `{:filter, fun}`: passes the data for which the function returns true;
+    * `{:each, fun}`: calls the function for its side effect and passes the data on;
+    * `{:step, fun, state}`: `fun.(data, message, state)` returns `{:emit, data, state}` or `{:skip, state}`.
 
-  `message` is the message as it entered the chain (times, sequence id); its `data` is the data at that point.
+  `message` is the message that entered the chain (with its times and sequence id); its `data` is the current data.
 
       defmodule Tally do
         # Numbers the messages of a stream: {1, data}, {2, data}, ...
@@ -32,8 +32,8 @@ defmodule Situ.Operator do
           {:map, fun()} | {:filter, fun()} | {:each, fun()} | {:step, fun(), state :: term()}
 
   @doc """
-  Adds a light operator behind `stream` and returns its output stream. `name` is its default name; `default_type` the
-  output's type unless `type:` is given.
+  Adds a light operator to `stream` and returns its output stream. `name` is its default name, and `default_type` is
+  the output's type unless `type:` is given.
   """
   @spec attach(Stream.t(), String.t(), step(), keyword(), Situ.Type.t()) :: Stream.t()
   def attach(%Stream{} = stream, name, step, opts \\ [], default_type \\ :any) do
@@ -48,11 +48,11 @@ defmodule Situ.Operator do
   end
 
   @doc """
-  Adds a component with one output, `:out`, behind a stream (or `[input: stream, ...]`) and returns its output stream:
-  for operators that are more than a step. `{module, own}` is the component and its own options; the rest as in
-  `attach/5`.
+  Adds a component with one output, `:out`, to a stream (or `[input: stream, ...]`) and returns its output stream; for
+  operators that need more than a step. `{module, own}` is the component with its own options. For the other arguments
+  see `attach/5`.
 
-  `policy:` may be a list here, one for each input.
+  `policy:` may be a list here, with one policy for each input.
   """
   @spec through(
           Stream.t() | keyword(Stream.t()),
@@ -88,7 +88,11 @@ defmodule Situ.Operator do
   defp policies(policies, n) when is_list(policies) and length(policies) == n, do: policies
 
   defp policies(policies, n) when is_list(policies),
-    do: raise(ArgumentError, "#{length(policies)} policies for #{n} inputs")
+    do:
+      raise(
+        ArgumentError,
+        "expected one policy per input, got #{length(policies)} policies for #{n} inputs"
+      )
 
   defp policies(policy, n), do: List.duplicate(policy, n)
 

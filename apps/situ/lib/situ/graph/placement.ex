@@ -1,7 +1,7 @@
 defmodule Situ.Graph.Placement do
   @moduledoc """
-  How a component or operator is placed in a pipeline: the options that all of them take besides their own, in the
-  same keyword list.
+  The placement options of components and operators. Every component and operator accepts them in addition to its own
+  options, in the same keyword list.
 
       iex> own = [gain: [type: :number, default: 1]]
       iex> Situ.Graph.Placement.split!([name: "Left", gain: 2], own, :operator)
@@ -24,14 +24,14 @@ defmodule Situ.Graph.Placement do
 
   @type kind :: :component | :operator | :fusion | :generator
 
-  @doc "The options that everything of this kind takes."
+  @doc "Returns the option schema of a kind of element."
   @spec schema(kind()) :: Options.schema()
   defdelegate schema(kind), to: Schema, as: :of
 
   @doc """
-  Checks `opts` against `own` and the options of the kind, and returns the two apart: `{own, placement}`.
+  Validates `opts` against `own` and the options of the kind, and splits them into `{own, placement}`.
 
-  Raises `Situ.Error`; an unknown name is answered with all that are known.
+  Raises `Situ.Error`; the error for an unknown option lists the known options.
   """
   @spec split!(keyword(), Options.schema(), kind()) :: {keyword(), keyword()}
   def split!(opts, own, kind) do
@@ -41,7 +41,8 @@ defmodule Situ.Graph.Placement do
   end
 
   @doc """
-  The options of placement and all others, apart and unchecked: for functions whose own options are checked elsewhere.
+  Splits `opts` into placement options and all others without validation, for functions that validate their own
+  options elsewhere.
 
       iex> Situ.Graph.Placement.apart([radius: 3, name: "Blur"], :operator)
       {[name: "Blur"], [radius: 3]}
@@ -51,9 +52,11 @@ defmodule Situ.Graph.Placement do
 
   defp check_free!(key, placement) do
     if Keyword.has_key?(placement, key) do
-      raise Error.new(:reserved_option, "the component declares an option #{inspect(key)}",
-              why: "every component takes #{inspect(key)} already, for its placement",
-              fix: "give the component's option another name"
+      raise Error.new(
+              :reserved_option,
+              "the component declares the reserved option #{inspect(key)}",
+              why: "#{inspect(key)} is a placement option of every component",
+              fix: "rename the component's option"
             )
     end
   end

@@ -1,12 +1,12 @@
 defmodule Situ.Graph.Plan do
   @moduledoc false
-  # Which vertices share a process, and which edges become queues between processes. Pure.
+  # Decides which vertices share a process, and which edges become queues between processes. Pure.
   #
-  # A light operator joins the process of the light operator in front of it when nobody else listens to that one, no
-  # explicit policy (but synchronous or `throttle(1)`) stands between them, neither asks for `async`, both treat
-  # errors alike and belong to the same composite (which can be stopped alone). It joins the process of a component
-  # with one output when the policy between them is synchronous, `throttle(1)` (unless it is a source that cannot
-  # wait), or the pipeline's default throttle: nothing is on its way at all then.
+  # A light operator joins the process of the preceding light operator if that has no other consumer, no explicit
+  # policy (except synchronous or `throttle(1)`) is between them, neither has `async: true`, and both have the same
+  # `on_error:` and belong to the same composite (which can be stopped alone). It joins the process of a component
+  # with one output if the policy between them is synchronous, `throttle(1)` (unless the component is a source that
+  # cannot wait), or the pipeline's default throttle. No messages are then in flight between them.
   alias Situ.{Delivery, Error, Graph}
   alias Situ.Graph.Vertex
 
@@ -32,7 +32,7 @@ defmodule Situ.Graph.Plan do
     {:ok, build(graph, inline, unbound_cycles(graph, process, edges))}
   end
 
-  @doc "The plan of the vertices `fresh` alone, which are added to the rest of the graph while that runs."
+  @doc "Compiles the plan of only the vertices `fresh`, which are added to a graph that is already running."
   @spec extend(Graph.t(), MapSet.t(pos_integer())) :: {:ok, t()} | {:error, Error.t()}
   def extend(%Graph{} = graph, fresh) do
     edges = for {_, %{to: {to, _}} = edge} <- graph.edges, MapSet.member?(fresh, to), do: edge
@@ -89,13 +89,13 @@ defmodule Situ.Graph.Plan do
   defp joins?(%{outputs: [_]}, _to, %{policy: %{kind: :synchronous}}), do: true
   defp joins?(%{outputs: [_]}, _to, %{policy: %{kind: :throttle}, explicit: false}), do: true
 
-  # A device that cannot wait goes on while the operator behind it works.
+  # A device that cannot wait must keep running while the operator works, so the two do not share a process.
   defp joins?(%{outputs: [_], scope: scope} = from, %{scope: scope}, %{policy: policy}),
     do: one?(policy) and not Vertex.push?(from)
 
   defp joins?(_from, _to, _edge), do: false
 
-  # One message at a time: in one process that is so by itself, and costs no two wake-ups for each.
+  # Within one process there is only ever one message at a time, without two wake-ups per message.
   defp one?(%Delivery{kind: :throttle, window: 1}), do: true
   defp one?(_policy), do: false
 
@@ -116,13 +116,13 @@ defmodule Situ.Graph.Plan do
       [{_, path, name} | _] ->
         {:error,
          Error.new(:unconnected_input, "input #{path}.#{name} is not connected",
-           why: "it is required",
-           fix: "connect a stream to it, or declare it {type, optional: true}"
+           why: "the input is required",
+           fix: "connect a stream to it, or declare it as {type, optional: true}"
          )}
     end
   end
 
-  # Back-pressure around a cycle would stop it for ever: edges that lie on one get no bound.
+  # Back-pressure around a cycle would stall it forever, so edges on a cycle are unbounded.
   defp unbound_cycles(graph, process, edges) do
     case cycles(Map.keys(graph.vertices), edges) do
       cycles when cycles == %{} -> process
@@ -138,7 +138,7 @@ defmodule Situ.Graph.Plan do
       else: edge
   end
 
-  # Each vertex on a cycle with the number of the group of those that lead to one another.
+  # Returns each vertex on a cycle with the number of its strongly connected component.
   defp cycles(ids, edges) do
     digraph = :digraph.new()
     Enum.each(ids, &:digraph.add_vertex(digraph, &1))

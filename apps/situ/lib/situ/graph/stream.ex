@@ -1,11 +1,11 @@
 defmodule Situ.Stream do
   @moduledoc """
-  The handle of one output, to connect inputs to. It holds no messages.
+  The handle of one output, used to connect it to inputs. It contains no messages.
 
-    * `pipeline`: the pipeline handle (every operator finds its pipeline here)
+    * `pipeline`: the pipeline handle (operators find their pipeline here)
     * `node`, `output`: the node's id and the output's name
     * `type`: see `Situ.Type`
-    * `name`: unique within the pipeline; tools and stores find the stream by it
+    * `name`: unique within the pipeline; tools and stores find the stream by its name
   """
   @enforce_keys [:pipeline, :node, :output]
   defstruct [:pipeline, :node, :output, :name, type: :any]
@@ -18,7 +18,7 @@ defmodule Situ.Stream do
           type: Situ.Type.t()
         }
 
-  @doc "Names the stream. Raises `Situ.Error` (`:duplicate_name`) when another stream of the pipeline has the name."
+  @doc "Names the stream. Raises `Situ.Error` (`:duplicate_name`) if another stream of the pipeline has the same name."
   @spec name(t(), String.t()) :: t()
   def name(%__MODULE__{} = stream, name) when is_binary(name) do
     :ok = Situ.Graph.Builder.run(stream.pipeline, &Situ.Graph.name_stream(&1, stream, name))
@@ -28,7 +28,7 @@ defmodule Situ.Stream do
   def name(other, _name),
     do: Situ.Argument.refuse!(other, :stream, ~s|Situ.name(stream, "Front")|)
 
-  @doc "The same stream seen as another type (no run-time change; inputs check what really arrives)."
+  @doc "Returns the stream with another type. Nothing changes at run time; inputs check the data that arrives."
   @spec as(t(), Situ.Type.t()) :: t()
   def as(%__MODULE__{} = stream, type), do: %{stream | type: type}
 

@@ -1,9 +1,9 @@
 defmodule Situ.Graph.Vertex do
   @moduledoc """
-  One component of a graph. `module` is `:operator` for light operators, whose step is in `opts`.
+  A component of a graph. `module` is `:operator` for light operators, whose step is in `opts`.
 
-  Ports are keyword lists: inputs of `%{type, optional}`, outputs of `%{type, optional, source_id}`.
-  With `holds: false` messages are not held back until the clock of their pipeline reaches them.
+  Ports are keyword lists. Inputs are `%{type, optional}`, outputs are `%{type, optional, source_id}`.
+  With `holds: false`, messages are not held back until the clock of their pipeline reaches them.
   """
   @enforce_keys [:id, :module]
   defstruct [
@@ -40,13 +40,13 @@ defmodule Situ.Graph.Vertex do
           holds: boolean()
         }
 
-  @doc "Whether the component makes messages on its own: it has no inputs, or it is a pull source."
+  @doc "Returns whether the component is a source: it has no inputs, or it is a pull source."
   @spec source?(t()) :: boolean()
   def source?(%__MODULE__{module: :operator}), do: false
   def source?(%__MODULE__{inputs: []}), do: true
   def source?(%__MODULE__{module: module}), do: function_exported?(module, :handle_demand, 3)
 
-  @doc "Whether it is a source that cannot wait: nobody asks it for messages."
+  @doc "Returns whether it is a push source, which cannot wait because it does not emit on demand."
   @spec push?(t()) :: boolean()
   def push?(%__MODULE__{inputs: [], module: module}),
     do: module != :operator and not function_exported?(module, :handle_demand, 3)

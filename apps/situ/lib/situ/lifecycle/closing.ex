@@ -1,17 +1,22 @@
 defmodule Situ.Lifecycle.Closing do
   @moduledoc false
-  # In which order the outputs of a stopping pipeline close. Pure.
+  # Decides in which order the outputs of a stopping pipeline close. Pure.
   #
-  # The first rule that applies: (a) everything without an active input; (b) nothing while closing marks are still on
-  # their way; (c) what is fed by itself alone; (d) what lies on pure cycles, where following inputs upstream leads only
-  # back; (e) the one with most listened-to outputs. (a), (c) and (d) close all
-  # that match, in order of construction: (c) and (d) those that still match when it is their turn.
+  # The first rule that applies decides:
+  #   (a) close every stage without an active input;
+  #   (b) wait while closing marks are still in flight;
+  #   (c) close the stages that are fed only by themselves;
+  #   (d) close the stages on pure cycles, where following the inputs upstream only leads back;
+  #   (e) close the stage with the most outputs that have listeners.
+  # Rules (a), (c) and (d) close all matching stages in order of construction. Under (c) and (d) a stage must still
+  # match after the earlier ones have closed.
 
   @type id :: pos_integer()
   @type edge :: %{from: id(), output: atom(), to: id()}
 
   @doc """
-  `order`: ids not yet closed, in order of construction; `active`: edges whose consumer has not taken the closing mark.
+  Returns the next step. `order` holds the ids that are not closed yet, in order of construction. `active` holds the
+  edges whose consumer has not taken the closing mark.
   """
   @spec next([id()], [edge()]) :: {:close, [id()]} | :wait | {:break, [id()]} | :done
   def next([], []), do: :done
@@ -32,7 +37,7 @@ defmodule Situ.Lifecycle.Closing do
     end
   end
 
-  @doc "Which of `order` to close when every one of them waits for another: at least one."
+  @doc "Returns the ids in `order` to close when all of them wait for each other; at least one."
   @spec break([id(), ...], [edge()]) :: [id(), ...]
   def break(order, active) do
     with [] <- one_by_one(order, active, &alone?/2),
@@ -41,7 +46,7 @@ defmodule Situ.Lifecycle.Closing do
     end
   end
 
-  # Those for which the rule holds when it comes to them: closing one opens the cycle for the others on it.
+  # Tests the rule for each id after the earlier ones have closed, since closing one stage opens its cycle for the rest.
   defp one_by_one(order, active, rule) do
     {chosen, _active} =
       Enum.flat_map_reduce(order, active, fn id, active ->
@@ -60,7 +65,7 @@ defmodule Situ.Lifecycle.Closing do
     end
   end
 
-  # Every way upstream from `id` ends at `id` again, before it meets a vertex twice.
+  # Every path upstream from `id` leads back to `id` before it meets another vertex twice.
   defp pure?(id, upstream),
     do: leads_back?(Map.get(upstream, id, []), id, upstream, MapSet.new([id]))
 

@@ -1,6 +1,6 @@
 defmodule Situ.Lifecycle.Errors do
   @moduledoc false
-  # The errors of a pipeline as a whole.
+  # The errors that concern a whole pipeline.
   alias Situ.Error
 
   @spec not_running() :: Error.t()
@@ -16,28 +16,28 @@ defmodule Situ.Lifecycle.Errors do
 
   @spec unpaced() :: Error.t()
   def unpaced do
-    Error.new(:unpaced, "the pipeline runs as fast as it can: there is no speed to change",
-      why: "with speed: :max no message waits for the clock",
+    Error.new(:unpaced, "the pipeline runs as fast as possible, so its speed cannot be changed",
+      why: "with speed: :max, messages do not wait for the clock",
       fix: "start it with a speed, as in replay: [speed: 1.0]"
     )
   end
 
   @spec unknown_request() :: Error.t()
   def unknown_request do
-    Error.new(:unknown_request, "a pipeline has no answer to this call",
+    Error.new(:unknown_request, "a pipeline does not support this call",
       fix: "use the functions of Situ.Pipeline"
     )
   end
 
-  @doc "The pipeline raised while it answered a request."
+  @doc "Builds the error of a request during which the pipeline raised an exception."
   @spec request_failed(term(), {atom(), term(), list()}) :: Error.t()
   def request_failed(request, {kind, reason, stack}) do
     name = if is_tuple(request), do: elem(request, 0), else: request
     banner = Exception.format_banner(kind, reason, stack)
 
-    Error.new(:request_failed, "the pipeline could not answer #{inspect(name)}: #{banner}",
-      why: "this is a fault of Situ, or of an argument; the pipeline keeps running as before",
-      fix: "check the arguments; the log has the whole error",
+    Error.new(:request_failed, "the pipeline failed to handle #{inspect(name)}: #{banner}",
+      why: "this is a bug in Situ or an invalid argument; the pipeline keeps running",
+      fix: "check the arguments; the log contains the full error",
       meta: %{kind: kind, reason: reason, stacktrace: stack}
     )
   end
@@ -55,20 +55,20 @@ defmodule Situ.Lifecycle.Errors do
 
   @spec abandoned() :: Error.t()
   def abandoned do
-    Error.new(:abandoned, "the pipeline was given up",
-      why: "what it did goes on elsewhere: messages under way were not delivered here"
+    Error.new(:abandoned, "the pipeline was abandoned",
+      why: "it continues elsewhere; messages in flight were not delivered here"
     )
   end
 
   @spec timeout(term(), timeout()) :: Error.t()
   def timeout(request, ms) do
-    Error.new(:timeout, "no answer to #{inspect(request, limit: 4)} after #{ms} ms",
-      why: "the pipeline still works on the request",
+    Error.new(:timeout, "no reply to #{inspect(request, limit: 4)} after #{ms} ms",
+      why: "the pipeline is still working on the request",
       fix: "wait longer with timeout:"
     )
   end
 
-  @doc "A component's process ended without having been asked to."
+  @doc "Builds the error of a component whose process ended unexpectedly."
   @spec killed(String.t(), term()) :: Error.t()
   def killed(path, reason) do
     Error.new(:component_killed, "#{path} was killed: #{inspect(reason, limit: 8)}",
@@ -76,12 +76,12 @@ defmodule Situ.Lifecycle.Errors do
     )
   end
 
-  @doc "A stage that owed an answer was restarted, or is gone."
+  @doc "Builds the error of a request whose stage was restarted or ended before it replied."
   @spec interrupted(String.t()) :: Error.t()
   def interrupted(path) do
-    Error.new(:component_restarted, "#{path} ended before it answered",
-      why: "its pending requests were lost with it",
-      fix: "ask again",
+    Error.new(:component_restarted, "#{path} ended before it replied",
+      why: "its pending requests were lost with its process",
+      fix: "send the request again",
       meta: %{component: path}
     )
   end

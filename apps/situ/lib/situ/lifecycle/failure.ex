@@ -1,15 +1,15 @@
 defmodule Situ.Lifecycle.Failure do
   @moduledoc false
-  # Stages that fail, or end before their time: restarted, or the pipeline's end. Pure.
-  # The streams of a stage end where it fails. Stages downstream emit nothing about later times: a group without the
-  # failed stage's part, or with a default in its place, would be made up.
+  # Handles stages that fail or whose processes end early: the stage restarts or the pipeline ends. Pure.
+  # The streams of a failed stage end at the time of the failure, and stages downstream emit nothing about later times.
+  # A group without the failed stage's part, or with a default instead, would be made up.
   alias Situ.Error
   alias Situ.Lifecycle.{Links, Member, State}
   import Situ.Lifecycle.State
 
   @doc """
-  A stage says that it failed: it takes nothing any more. `reached`: up to where its streams are whole, if that is
-  known.
+  Handles a stage that reports a failure and takes no more messages. `reached` is the time up to which its streams are
+  complete, or `nil` if unknown.
   """
   @spec failed(State.t(), State.id(), Error.t(), Situ.Time.t() | nil) :: State.t()
   def failed(state, id, error, reached) do
@@ -17,7 +17,7 @@ defmodule Situ.Lifecycle.Failure do
     end_soon(%{state | awaited: MapSet.delete(state.awaited, id)})
   end
 
-  @doc "The component did not come to its first state."
+  @doc "Handles a component whose `init/1` failed."
   @spec init_failed(State.t(), State.id(), Error.t(), Situ.Time.t()) :: State.t()
   def init_failed(state, id, error, now),
     do: state |> gone(id, now) |> error(error) |> end_soon()
@@ -27,11 +27,10 @@ defmodule Situ.Lifecycle.Failure do
 
   defp end_soon(state), do: state |> abandon() |> ending(by_hand: true)
 
-  # Those who listen from outside learn it at once: one that asks for no more must not keep a failed pipeline from its
-  # end.
+  # External subscribers are notified immediately, so that an idle one cannot keep a failed pipeline from ending.
   defp abandon(state), do: tell(state, alive(state), {:abandon, List.last(state.errors)})
 
-  @doc "The process of a stage ended for `reason`, an error; nobody had asked for it, unless all of it is ending."
+  @doc "Handles the end of a stage's process for `reason`, an error, which may be part of a shutdown."
   @spec exited(State.t(), State.id(), Error.t(), Situ.Time.t() | nil, Situ.Time.t()) :: State.t()
   def exited(state, id, reason, reached, now) do
     state = change(state, id, &%{&1 | alive?: false, up?: false})
@@ -62,7 +61,7 @@ defmodule Situ.Lifecycle.Failure do
       {:ok, state} ->
         state = state |> act({:restarted, member.id, reason}) |> act({:spawn, [member.id]})
         state = change(state, member.id, &%{&1 | alive?: true, again?: true})
-        # The others wait for it: it has yet to take the step that they have taken.
+        # The other stages wait for it, because it has yet to take the step that they have taken.
         if state.step in [:up, :sources],
           do: %{state | pending: MapSet.put(state.pending, member.id)},
           else: state
@@ -76,7 +75,7 @@ defmodule Situ.Lifecycle.Failure do
     end
   end
 
-  @doc "A component raised, and began again in its process: too often is a failure like any other."
+  @doc "Handles a component that raised and restarted in its process; too many restarts fail the stage."
   @spec restarted(State.t(), State.id(), Error.t()) :: State.t()
   def restarted(state, id, error) do
     state = act(state, {:noted, error})
@@ -94,13 +93,13 @@ defmodule Situ.Lifecycle.Failure do
     end
   end
 
-  # The one in the stage that it was.
+  # Within a chain, the error names the operator that raised.
   defp raised(state, id, error) do
     member = state.stages[id]
     %{member | path: error.meta[:component] || member.path}
   end
 
-  @doc "Another restart: whether there have been too many in too short a time, as a supervisor counts."
+  @doc "Counts a restart; returns `:error` for too many within `max_seconds`, as a supervisor counts them."
   @spec count(State.t(), State.id()) :: {:ok | :error, State.t()}
   def count(state, id) do
     {most, ms} = state.limits.restarts
@@ -111,7 +110,7 @@ defmodule Situ.Lifecycle.Failure do
       else: {:ok, act(state, {:after, ms, {:forgive, id}})}
   end
 
-  @doc "A restart is so long ago that it counts no more."
+  @doc "Stops counting a restart that is older than `max_seconds`."
   @spec forgive(State.t(), State.id()) :: State.t()
   def forgive(state, id) do
     if is_map_key(state.stages, id),
@@ -119,7 +118,7 @@ defmodule Situ.Lifecycle.Failure do
       else: state
   end
 
-  @doc "The stage is no more: its neighbours take it as closed."
+  @doc "Marks a stage as dead and closes its links, so that its neighbours treat it as closed."
   @spec gone(State.t(), State.id(), Situ.Time.t()) :: State.t()
   def gone(state, id, now) do
     time = with nil <- state.stages[id].limit, do: now
@@ -142,7 +141,7 @@ defmodule Situ.Lifecycle.Failure do
     state |> mark([id], :dead) |> change(id, &%{&1 | alive?: false}) |> answered(id)
   end
 
-  # Nothing behind the failure's time counts of what depends on it.
+  # Limits the stage and everything downstream of it: messages later than the failure do not count.
   defp limit(state, _id, nil), do: state
 
   defp limit(state, id, reached) do
@@ -156,7 +155,7 @@ defmodule Situ.Lifecycle.Failure do
 
   defp bound(member, reached), do: %{member | limit: min(member.limit || reached, reached)}
 
-  @doc "The error of a component, or composite, that cannot be kept alive."
+  @doc "Builds the error of a component or composite that was restarted too often."
   @spec too_often(Member.t(), State.t(), Error.t()) :: Error.t()
   def too_often(%Member{path: path} = member, state, reason) do
     {most, ms} = state.limits.restarts

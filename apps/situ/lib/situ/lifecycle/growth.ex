@@ -1,12 +1,12 @@
 defmodule Situ.Lifecycle.Growth do
   @moduledoc false
-  # Components that are added while the pipeline runs: the steps of a start, for some stages. Nothing of them moves
-  # before all of it is wired: what they take from streams that flow already is lent to them without demand, at a
-  # message boundary. Pure.
+  # Adds components to a running pipeline, which takes some stages through the steps of a start. No message moves before
+  # all of them are wired: running streams lend themselves to the new stages without demand, at a message boundary.
+  # Pure.
   #
   #   up     every new stage has its first state
   #   start  `handle_start/2` has run in each
-  #   lend   the streams they listen to have taken them in
+  #   lend   the streams they listen to have added them as subscribers
   alias Situ.Lifecycle.{Errors, Failure, Links, Member, State}
   import Situ.Lifecycle.State
 
@@ -17,8 +17,8 @@ defmodule Situ.Lifecycle.Growth do
         }
 
   @doc """
-  Begins; `from` is answered when messages flow, or when it cannot be. `lent`: the links from streams that flow
-  already.
+  Begins the addition; replies to `from` when messages flow or when adding fails. `plan.lent` holds the links from
+  streams that are already running.
   """
   @spec begin(State.t(), reference(), plan(), term()) :: State.t()
   def begin(state, ref, plan, from) do
@@ -44,16 +44,16 @@ defmodule Situ.Lifecycle.Growth do
   @spec refuse(State.t(), term()) :: State.t()
   def refuse(state, from), do: act(state, {:reply, from, {:error, Errors.not_running()}})
 
-  @doc "The growth that a stage belongs to."
+  @doc "Returns the reference of the growth that a stage belongs to."
   @spec of(State.t(), State.id()) :: reference() | nil
   def of(state, id), do: Enum.find_value(state.growths, fn {ref, g} -> id in g.ids && ref end)
 
-  @doc "Something happened in a stage that is being added."
+  @doc "Applies an event of a stage that is being added."
   @spec event(State.t(), reference(), tuple(), Situ.Time.t()) :: State.t()
   def event(state, ref, {step, id}, _now) when step in [:up, :started],
     do: state |> change(id, &%{&1 | up?: true}) |> answer(ref, id) |> go_on(ref)
 
-  # Its process is there still, and ends with the others.
+  # Its process is still alive and ends with the others.
   def event(state, ref, {:failed, _id, error, _reached}, _now), do: failed(state, ref, error)
 
   def event(state, ref, {:init_failed, id, error}, now),
@@ -62,7 +62,7 @@ defmodule Situ.Lifecycle.Growth do
   def event(state, ref, {:exited, id, error, _reached}, now),
     do: state |> Failure.gone(id, now) |> failed(ref, error)
 
-  @doc "A stream that flows already has taken a new listener in: from now on, or it has ended."
+  @doc "Handles a running stream that has added a new listener, or that has ended."
   @spec lent(State.t(), term(), {:open, term()} | {:closed, Situ.Time.t()}) :: State.t()
   def lent(state, tag, how) do
     case Enum.find(state.growths, fn {_, g} -> tag in g.lent end) do
@@ -82,7 +82,7 @@ defmodule Situ.Lifecycle.Growth do
     end
   end
 
-  @doc "The process of a stage has ended: parts that are being added no longer wait for its stream."
+  @doc "Handles the end of a stage's process: parts that are being added stop waiting for its stream."
   @spec lender_ended(State.t(), State.id()) :: State.t()
   def lender_ended(%{growths: growths} = state, _id) when growths == %{}, do: state
 
@@ -147,7 +147,7 @@ defmodule Situ.Lifecycle.Growth do
     %{state | growths: Map.put(state.growths, ref, growth)}
   end
 
-  # The rest of it goes, too; the pipeline runs on.
+  # Removes the other stages of the growth, too; the pipeline keeps running.
   defp failed(state, ref, error) do
     {growth, growths} = Map.pop(state.growths, ref)
 
@@ -156,7 +156,7 @@ defmodule Situ.Lifecycle.Growth do
     |> drop(growth)
   end
 
-  @doc "The pipeline ends: what was still being added goes first."
+  @doc "Removes all stages that are still being added, because the pipeline is ending."
   @spec abandon(State.t()) :: State.t()
   def abandon(%{growths: growths} = state) when growths == %{}, do: state
 
@@ -189,7 +189,7 @@ defmodule Situ.Lifecycle.Growth do
     |> fail_listeners(tags)
   end
 
-  # Other parts that are being added may have been about to listen to it.
+  # Other parts that are being added may have been waiting to listen to this one.
   defp fail_listeners(state, tags) do
     refs = for {ref, %{lent: lent}} <- state.growths, Enum.any?(lent, &(&1 in tags)), do: ref
 

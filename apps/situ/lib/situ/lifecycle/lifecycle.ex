@@ -1,40 +1,40 @@
 defmodule Situ.Lifecycle do
   @moduledoc false
-  # The life of a pipeline as a pure state machine: `apply(state, event, now)` returns the next state and the actions.
-  # The server turns messages into events and performs the actions; nothing here sends, reads a clock or knows a
-  # process.
+  # The life cycle of a pipeline as a pure state machine: `apply(state, event, now)` returns the next state and the
+  # actions. The server turns messages into events and performs the actions. Nothing here sends messages, reads a clock
+  # or knows a process.
   #
   #   building -> starting (handlers, up, sources) -> running -> stopping (settle, stop, close, quit) -> completed
   # | event | meaning |
   # |---|---|
   # | `:start` | the graph is built |
   # | `{:handled, :run, :ok or {:error, error}}`, `{:handled, :completed}` | the handlers have returned |
-  # | `{:planned, members, links}`, `{:plan_failed, error}` | the graph is cut into stages, or cannot be |
+  # | `{:planned, members, links}`, `{:plan_failed, error}` | the graph was cut into stages, or planning failed |
   # | `{:up, id}`, `{:started, id}`, `{:settled, id}`, `{:source_stopped, id}` | a stage has taken the step |
-  # | `{:completed, id, time or :infinity}` | a source knows its end, and waits for `:heard` with its last messages |
+  # | `{:completed, id, time or :infinity}` | a source knows its end, and holds its last messages until `:heard` |
   # | `{:unsubscribed, id, tag, time}` | a stage took the closing mark of an input |
   # | `{:failed, id, error, reached}`, `{:init_failed, id, error}` | a stage fails |
-  # | `{:restarted, id, error}` | a stage took an exception for a restart |
+  # | `{:restarted, id, error}` | a component raised and restarted within its process |
   # | `{:exited, id, error, reached}` | a stage's process ended |
   # | `{:stop, catch_up}`, `{:stop_at, time}`, `{:stop_part, ref, ids, opts}` | the pipeline, or a part, is to stop |
-  # | `{:grow, ref, plan, from}`, `{:lent, tag, how}` | components are added while it runs |
-  # | `{:joined, member}`, `{:linked, tag, link}`, `{:unlinked, tag}`, `{:left, id}` | changes of the running graph |
-  # | `{:measured, which, seen}`, `{:watched, which, seen}` | the answers to `:measure` and `:watch` |
-  # | `:enough`, `{:part_enough, ref}`, `:drain`, `{:forgive, id}`, `{:overdue, id}` | a time has passed |
+  # | `{:grow, ref, plan, from}`, `{:lent, tag, how}` | components are being added to the running pipeline |
+  # | `{:joined, member}`, `{:linked, tag, link}`, `{:unlinked, tag}`, `{:left, id}` | the running graph changed |
+  # | `{:measured, which, seen}`, `{:watched, which, seen}` | the results of `:measure` and `:watch` |
+  # | `:enough`, `{:part_enough, ref}`, `:drain`, `{:forgive, id}`, `{:overdue, id}` | a timer has expired |
   # | action | the server ... |
   # |---|---|
   # | `{:handle, event}`, `{:handle, event, argument}` | calls the handlers of `Situ.Pipeline.on/3` |
-  # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}` | as they say |
-  # | `{:rewire, id, links}`, `{:shutdown, id}`, `{:kill, id}` | as they say |
-  # | `{:tell, id, request}`, `{:lend, tag}` | sends a stage a request; asks a stage to take a subscriber in |
+  # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}` | performs the step of that name |
+  # | `{:rewire, id, links}`, `{:shutdown, id}`, `{:kill, id}` | reconnects, shuts down or kills the stage |
+  # | `{:tell, id, request}`, `{:lend, tag}` | sends a stage a request; asks a stage to add a subscriber |
   # | `{:forget, ids}` | takes removed stages out of the graph, which frees their names |
   # | `{:drop, id}`, `{:unwire, tag}` | drops a stage, or a connection, that the life cycle has deleted |
-  # | `{:cut, ids, time}`, `{:release, ids}` | makes these stages ignore later messages; lets them finish all messages
-  # and end |
-  # | `{:failed, error}`, `{:noted, error}`, `{:restarted, id, error}` | logs it and calls the handlers |
-  # | `{:reply, from, answer}` | answers a caller |
+  # | `{:cut, ids, time}`, `{:release, ids}` | makes these stages ignore later messages, or lets them finish all
+  # messages and end |
+  # | `{:failed, error}`, `{:noted, error}`, `{:restarted, id, error}` | logs the error and calls the handlers |
+  # | `{:reply, from, answer}` | replies to a caller |
   # | `{:after, ms, event}`, `{:watch, ms, which}`, `{:measure, which}` | sends the event, or its measurement, later |
-  # | `{:event, event}` | applies the event after those before it |
+  # | `{:event, event}` | applies the event after the actions before it |
   # | `:finished` | publishes the result and ends |
   alias Situ.Lifecycle.{
     Failure,
@@ -55,7 +55,7 @@ defmodule Situ.Lifecycle do
   @type event :: term()
   @type action :: term()
 
-  @doc "The next state, and the actions in the order in which they are to be performed."
+  @doc "Applies an event; returns the next state, and the actions in the order in which to perform them."
   @spec apply(State.t(), event(), Situ.Time.t()) :: {State.t(), [action()]}
   def apply(state, event, now) do
     state = state |> event(event, now) |> go_on(now) |> heard(event)
@@ -63,8 +63,8 @@ defmodule Situ.Lifecycle do
     {%{state | actions: []}, Enum.reverse(state.actions)}
   end
 
-  # A source keeps its last messages until its end is known: when it was the last one to end, the others ignore later
-  # messages from here on, before anything can follow from these.
+  # A source holds its last messages until its end is known. If it was the last source to end, the others start to
+  # ignore later messages now, before these messages can lead to any.
   defp heard(state, {:completed, id, time}) when is_integer(time) do
     if match?(%{^id => %{alive?: true}}, state.stages),
       do: tell(state, [id], :heard),
@@ -73,7 +73,7 @@ defmodule Situ.Lifecycle do
 
   defp heard(state, _event), do: state
 
-  @doc "The wish of a caller to stop by hand, told how long sources may catch up."
+  @doc "Returns the default time, in ms, for which sources may catch up after a stop by hand."
   @spec catch_up_ms() :: pos_integer()
   def catch_up_ms, do: %Situ.Lifecycle.Ending{}.catch_up
 
@@ -82,7 +82,7 @@ defmodule Situ.Lifecycle do
 
   defp event(state, {:left, id}, _now), do: Removal.leave(state, id)
 
-  # Nothing happens to what is over, but that its last handlers return.
+  # Only the results of its last handlers still matter to a completed pipeline.
   defp event(%{phase: :completed} = state, {:handled, :completed}, _now),
     do: act(state, :finished)
 
@@ -140,20 +140,20 @@ defmodule Situ.Lifecycle do
   defp event(state, {:overdue, id}, _now), do: Unit.overdue(state, id)
   defp event(state, {:forgive, id}, _now), do: Failure.forgive(state, id)
 
-  # The last words of a stage that is gone.
+  # An event of a stage that was already dropped matches only the last clause.
   defp event(%{stages: stages} = state, event, now)
        when is_tuple(event) and is_map_key(stages, elem(event, 1)),
        do: stage(event, state, now)
 
   defp event(state, _event, _now), do: state
 
-  # Only the end of its process counts of a stage that was given up.
+  # For a stage that was given up, only the end of its process still matters.
   defp stage(event, state, _now)
        when elem(event, 0) != :exited and
               :erlang.map_get(:status, :erlang.map_get(elem(event, 1), state.stages)) == :dead,
        do: state
 
-  # A part being added takes the steps of a start by itself; if it fails, the rest goes on without it.
+  # A part that is being added takes the steps of a start by itself; if it fails, the rest continues without it.
   defp stage(event, %{growths: growths} = state, now)
        when growths != %{} and elem(event, 0) in [:up, :started, :init_failed, :failed, :exited] do
     case Growth.of(state, elem(event, 1)) do
@@ -207,7 +207,7 @@ defmodule Situ.Lifecycle do
     end
   end
 
-  # With an `on_error:` of its own it is restarted alone.
+  # A component with its own `on_error:` is restarted alone.
   defp dies_for_itself?(member), do: member.on_error == :stop
 
   defp exited(state, id, error, reached, now) do
@@ -220,7 +220,7 @@ defmodule Situ.Lifecycle do
 
   defp keep(state, error), do: %{state | errors: [error | state.errors]}
 
-  # A component that hangs in its start would block the stop, so the watchdog runs from now on.
+  # A component that hangs while it starts would block the stop, so the watchdog starts now.
   defp stop(%{phase: :starting, ending: %{wish: nil}} = state, {time, by_hand}) do
     state |> wish(time, by_hand) |> act({:watch, state.limits.stop_timeout, :all})
   end
@@ -229,7 +229,7 @@ defmodule Situ.Lifecycle do
   defp stop(%{phase: :stopping} = state, {_time, true}), do: Shutdown.hurry(state)
   defp stop(state, _wish), do: state
 
-  # A source has announced its end; the others decide how long the pipeline runs.
+  # A source has announced its end; the remaining sources decide how long the pipeline runs.
   defp completed(state, id, time) do
     if MapSet.member?(state.awaited, id),
       do: told(%{state | awaited: MapSet.delete(state.awaited, id)}, id, time),
@@ -241,12 +241,12 @@ defmodule Situ.Lifecycle do
   defp told(state, id, time) do
     state = act(state, {:handle, :component_completed, {state.stages[id].path, time}})
     ending = state.ending
-    # The end of a source that was added is no reason to end what ran before.
+    # The end of an added source must not end the components that were running before.
     latest = if state.stages[id].added?, do: ending.latest, else: max(ending.latest || time, time)
     ending(state, latest: latest, finite: MapSet.put(ending.finite, id))
   end
 
-  # On to the next step, and the next, as long as nothing is waited for.
+  # Advances step by step until a step has to wait for something.
   defp go_on(state, now) do
     case next(state, now) do
       %{step: step} = next when step != state.step -> go_on(next, now)
@@ -281,7 +281,7 @@ defmodule Situ.Lifecycle do
   defp step_done(%{step: :stop} = state, _now), do: Shutdown.close_free(state)
   defp step_done(%{step: :quit} = state, _now), do: Shutdown.complete(state)
 
-  # With only infinite sources it runs until somebody stops it.
+  # With only infinite sources, the pipeline runs until it is stopped.
   defp check_complete(%{ending: %{latest: time}} = state, now) when is_integer(time) do
     if MapSet.size(state.awaited) == 0,
       do: state |> Growth.abandon() |> Shutdown.begin({time, false}, now),

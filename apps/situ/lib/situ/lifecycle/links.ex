@@ -1,10 +1,10 @@
 defmodule Situ.Lifecycle.Links do
   @moduledoc false
-  # The connections between the stages of a pipeline, by both of their ends. Pure.
+  # The connections between the stages of a pipeline, indexed by both ends. Pure.
   #
-  #   active    those whose consumer has not taken the closing mark yet
-  #   closing   active ones whose producer has closed, with the time: the mark is under way
-  #   topology  all there ever were, for what follows the way of the streams
+  #   active    links whose consumer has not taken the closing mark yet
+  #   closing   active links whose producer has closed, with the time; the closing mark is in flight
+  #   topology  all links that ever existed, to find the stages downstream of a stage
 
   @type id :: pos_integer()
   @type link :: %{
@@ -39,7 +39,7 @@ defmodule Situ.Lifecycle.Links do
     }
   end
 
-  @doc "The consumer has taken the closing mark, or is gone."
+  @doc "Deactivates a link whose consumer has taken the closing mark or has ended."
   @spec drop(t(), term()) :: t()
   def drop(links, tag) do
     case links.active do
@@ -57,21 +57,21 @@ defmodule Situ.Lifecycle.Links do
     end
   end
 
-  @doc "As though it had never been there."
+  @doc "Removes a link completely, as if it had never existed."
   @spec forget(t(), term()) :: t()
   def forget(links, tag) do
     links = drop(links, tag)
     %{links | topology: Map.delete(links.topology, tag)}
   end
 
-  @doc "The outputs of `id` have closed at `time`: its closing marks are under way."
+  @doc "Records that the outputs of `id` closed at `time`, so that its closing marks are in flight."
   @spec close(t(), id(), Situ.Time.t()) :: t()
   def close(links, id, time) do
     tags = Map.get(links.out_of, id, [])
     %{links | closing: Enum.into(tags, links.closing, &{&1, time})}
   end
 
-  @doc "The stage itself is forgotten."
+  @doc "Removes all links of a stage."
   @spec forget_all(t(), id()) :: t()
   def forget_all(links, id) do
     tags = for {tag, link} <- links.topology, link.from == id or link.to == id, do: tag
@@ -84,11 +84,11 @@ defmodule Situ.Lifecycle.Links do
   @spec out_of(t(), id()) :: [{term(), link()}]
   def out_of(links, id), do: look(links, Map.get(links.out_of, id, []))
 
-  @doc "Whether nothing comes into `id` any more."
+  @doc "Returns whether `id` has no active input left."
   @spec free?(t(), id()) :: boolean()
   def free?(links, id), do: not is_map_key(links.into, id)
 
-  @doc "All stages that get, over however many others, something of `id`; itself only on a cycle."
+  @doc "Returns all stages downstream of `id`, directly or indirectly; includes `id` only if it is on a cycle."
   @spec downstream(t(), id()) :: MapSet.t(id())
   def downstream(links, id) do
     next = Enum.group_by(Map.values(links.topology), & &1.from, & &1.to)
@@ -104,8 +104,8 @@ defmodule Situ.Lifecycle.Links do
   end
 
   @doc """
-  The stages that get whole streams: every source upstream is among the `finite` ones, which have told their last time,
-  and none of them lies on or behind a cycle.
+  Returns the stages whose input streams are complete: every source upstream is in `finite`, the sources that have
+  reported their end, and the stage is neither on a cycle nor downstream of one.
   """
   @spec whole(
           %{id() => %{source?: boolean()}},
@@ -115,7 +115,7 @@ defmodule Situ.Lifecycle.Links do
           MapSet.t(id())
   def whole(stages, links, finite) do
     downstream = Enum.group_by(links, & &1.from, & &1.to)
-    # How many links into each stage come from stages that are not known to be whole.
+    # Counts, for each stage, the links from stages whose streams are not known to be complete.
     unknown = Enum.frequencies_by(links, & &1.to)
 
     endless =
@@ -128,7 +128,7 @@ defmodule Situ.Lifecycle.Links do
     reach(first, downstream, unknown, {endless, MapSet.new()})
   end
 
-  # A cycle is never entered: its stages wait for one another.
+  # A cycle is never entered, because its stages wait for each other.
   defp reach([], _downstream, _unknown, {_endless, whole}), do: whole
 
   defp reach([id | rest], downstream, unknown, {endless, whole} = sets) do
@@ -152,7 +152,7 @@ defmodule Situ.Lifecycle.Links do
 
   defp put(sets, id, tag), do: Map.update(sets, id, MapSet.new([tag]), &MapSet.put(&1, tag))
 
-  # A stage without any is no key: `free?/2` is one look.
+  # A stage without links has no key, so that `free?/2` is a single lookup.
   defp delete(sets, id, tag) do
     rest = MapSet.delete(Map.fetch!(sets, id), tag)
     if MapSet.size(rest) == 0, do: Map.delete(sets, id), else: %{sets | id => rest}

@@ -1,16 +1,16 @@
 defmodule Situ.Lifecycle.PartialStop do
   @moduledoc false
-  # A composite, or one component, that is stopped while the rest of its pipeline runs on: the same steps as at the
-  # end of a pipeline, for some of its stages. Their inputs from outside close and their sources stop at the time of
-  # the stop, their outputs close in order, and they quit. Pure.
+  # Stops a composite or a single component while the rest of its pipeline keeps running. Its stages take the same steps
+  # as at the end of a pipeline: their inputs from outside close and their sources stop at the time of the stop, their
+  # outputs close in order, and they quit. Pure.
   alias Situ.Error
   alias Situ.Lifecycle.{Closing, Failure, Links, Shutdown, State}
   import Situ.Lifecycle.State
 
   @typedoc """
-  `ids`: its stages; `pending`: its sources that have yet to stop; `error`: the first error meanwhile; `forget`: the
-  stages to remove with it, including those that ended before; `waits_for`: other parts with some of these stages, which
-  are still being stopped.
+  A part that is being stopped. `ids` are its stages and `pending` its sources that have yet to stop; `error` is the
+  first error during the stop; `forget` holds the stages to remove with it, including stages that ended before;
+  `waits_for` lists other parts with some of these stages that are still being stopped.
   """
   @type t :: %{
           ids: MapSet.t(State.id()),
@@ -22,7 +22,7 @@ defmodule Situ.Lifecycle.PartialStop do
           error: Error.t() | nil
         }
 
-  @doc "Begins; `from` is answered when all of it has closed."
+  @doc "Begins the stop; replies to `opts.from` when the whole part has closed."
   @spec begin(State.t(), reference(), [State.id()], map(), Situ.Time.t()) :: State.t()
   def begin(state, ref, ids, %{catch_up: catch_up, from: from} = opts, final) do
     ids = for id <- ids, is_map_key(state.stages, id), into: MapSet.new(), do: id
@@ -63,12 +63,12 @@ defmodule Situ.Lifecycle.PartialStop do
 
   defp bound(member, time), do: %{member | limit: min(member.limit || time, time)}
 
-  @doc "The part that a stage is stopped with."
+  @doc "Returns the reference of the part that a stage is being stopped with."
   @spec of(State.t(), State.id()) :: reference() | nil
   def of(%{parts: parts}, _id) when parts == %{}, do: nil
   def of(state, id), do: Enum.find_value(state.parts, fn {ref, part} -> id in part.ids && ref end)
 
-  @doc "A source has posted its last message."
+  @doc "Handles a source that has posted its last message."
   @spec stopped(State.t(), State.id()) :: State.t()
   def stopped(%{parts: parts} = state, _id) when parts == %{}, do: state
 
@@ -77,7 +77,7 @@ defmodule Situ.Lifecycle.PartialStop do
     %{state | parts: parts}
   end
 
-  @doc "A stage died while it was stopped with others: they go on without it."
+  @doc "Handles the death of a stage during the stop of its part; the other stages continue without it."
   @spec died(State.t(), reference(), State.id(), Error.t(), Situ.Time.t()) :: State.t()
   def died(state, ref, id, error, now) do
     state = state |> Failure.gone(id, now) |> stopped(id) |> act({:noted, error})
@@ -85,7 +85,7 @@ defmodule Situ.Lifecycle.PartialStop do
     %{state | parts: %{state.parts | ref => %{part | error: part.error || error}}}
   end
 
-  @doc "Sources that lag behind the clock end where they are."
+  @doc "Ends sources that have not caught up with the clock at their current position."
   @spec enough(State.t(), reference()) :: State.t()
   def enough(state, ref) do
     case state.parts do
@@ -94,13 +94,13 @@ defmodule Situ.Lifecycle.PartialStop do
     end
   end
 
-  @doc "Every part goes on where nothing is waited for any more."
+  @doc "Advances every part that no longer waits for anything."
   @spec go_on(State.t()) :: State.t()
   def go_on(%{parts: parts} = state) when parts == %{}, do: state
 
   def go_on(state) do
     next = Enum.reduce(Map.keys(state.parts), state, &step/2)
-    # Another part may have waited for one that has just ended.
+    # Another part may have been waiting for a part that has just ended.
     if map_size(next.parts) < map_size(state.parts), do: go_on(next), else: next
   end
 

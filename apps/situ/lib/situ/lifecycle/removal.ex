@@ -1,12 +1,12 @@
 defmodule Situ.Lifecycle.Removal do
   @moduledoc false
-  # Removed stages whose processes have ended. The life cycle drops such a stage only when its consumers have taken its
-  # closing marks: until then its connections count. The server keeps everything that belongs to a stage until the life
-  # cycle says `{:drop, id}`, so that no event finds only a part of it. Pure.
+  # Drops removed stages whose processes have ended. The life cycle drops such a stage only after its consumers have
+  # taken its closing marks; until then its connections count. The server keeps everything that belongs to a stage
+  # until the life cycle emits `{:drop, id}`, so that no event finds only a part of it. Pure.
   alias Situ.Lifecycle.{Links, State}
   import Situ.Lifecycle.State
 
-  @doc "The process of a removed stage has ended."
+  @doc "Records that the process of a removed stage has ended."
   @spec leave(State.t(), State.id()) :: State.t()
   def leave(%{stages: stages} = state, id) when is_map_key(stages, id),
     do: %{state | leaving: MapSet.put(state.leaving, id)}

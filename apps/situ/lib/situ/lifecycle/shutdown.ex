@@ -1,19 +1,19 @@
 defmodule Situ.Lifecycle.Shutdown do
   @moduledoc false
-  # How a pipeline ends. Pure.
+  # Ends a pipeline. Pure.
   #
-  #   settle   stopped by hand: every source first deals with what had been posted to it
+  #   settle   after a stop by hand, every source first handles the messages that were already posted to it
   #   stop     sources stop at the final time
-  #   close    outputs close, upstream first; a cycle is cut when it has come to rest
+  #   close    outputs close, upstream first; a cycle is cut once it has come to rest
   #   quit     stages end
-  #   over     all is final
+  #   over     everything is final
   alias Situ.Lifecycle.{Closing, Links, State}
   import Situ.Lifecycle.State
 
-  # Polls without any movement in a cycle before it counts as at rest although messages seem to be on their way.
+  # A cycle counts as at rest after this many polls without movement, even if messages still seem to be in flight.
   @still 100
 
-  @doc "Ends a running pipeline: `{:now, by_hand?}`, or up to an originating time."
+  @doc "Ends a running pipeline, either now (`{:now, by_hand?}`) or at an originating time."
   @spec begin(State.t(), {Situ.Time.t() | :now, boolean()}, Situ.Time.t()) :: State.t()
   def begin(state, {:now, by_hand}, now) do
     state = ending(%{state | phase: :stopping}, by_hand: by_hand)
@@ -36,12 +36,12 @@ defmodule Situ.Lifecycle.Shutdown do
     |> act({:after, state.ending.catch_up, :enough})
   end
 
-  @doc "Sources stop at `time`, or at the last end that one of them has told."
+  @doc "Stops the sources at `time`, or at the latest end that a source has reported, whichever is later."
   @spec stop(State.t(), Situ.Time.t()) :: State.t()
   def stop(state, time) do
     final = max(time, state.ending.latest || time)
     sources = running_sources(state)
-    # Those that are being stopped alone have been asked already.
+    # Sources that belong to a part being stopped were asked before.
     asked = for {_, part} <- state.parts, id <- part.pending, do: id
 
     state = ending(state, final: final)
@@ -55,11 +55,11 @@ defmodule Situ.Lifecycle.Shutdown do
     if state.ending.enough?, do: tell(state, sources, :stop_now), else: state
   end
 
-  @doc "A pipeline that ends by itself is stopped by hand: what waits for its time, or for somebody, waits no more."
+  @doc "Turns the end of a pipeline into a stop by hand, which no longer waits for message times or for demand."
   @spec hurry(State.t()) :: State.t()
   def hurry(%{ending: %{by_hand: true}} = state), do: state
 
-  # That counts as a move: what has waited so far has its time from now on.
+  # This counts as a move, which restarts the timeout of everything that was waiting.
   def hurry(state) do
     state
     |> ending(by_hand: true, moves: state.ending.moves + 1)
@@ -77,15 +77,16 @@ defmodule Situ.Lifecycle.Shutdown do
         do: id
   end
 
-  # Messages later than the end do not count: they have run ahead. Where every source upstream has given all it has,
-  # nothing has, and what operators made later than their inputs (`merge`, by the clock) belongs to the result.
+  # Messages later than the end have run ahead and do not count. If every source upstream has emitted all its messages,
+  # nothing has run ahead, and messages that operators made later than their inputs (`merge`, by the clock) belong to
+  # the result.
   defp whole(state) do
     whole = Links.whole(state.stages, Map.values(state.links.topology), state.ending.finite)
     &MapSet.member?(whole, &1)
   end
 
   @doc """
-  Stopped by hand, sources that lag behind the clock may catch up to it, but not for ever: they end where they are.
+  Ends the catch-up time after a stop by hand: sources that are still late end at their current position.
   """
   @spec enough(State.t(), Situ.Time.t()) :: State.t()
   def enough(%{ending: %{by_hand: false}} = state, _now), do: state
@@ -96,7 +97,7 @@ defmodule Situ.Lifecycle.Shutdown do
 
   def enough(state, _now), do: ending(state, enough?: true)
 
-  @doc "The sources have stopped: what nothing comes into closes; the rest as its inputs close."
+  @doc "Closes the stages without active inputs after the sources have stopped; the rest close as their inputs close."
   @spec close_free(State.t()) :: State.t()
   def close_free(state) do
     open = for {id, %{open?: true}} <- state.stages, do: id
@@ -105,8 +106,8 @@ defmodule Situ.Lifecycle.Shutdown do
   end
 
   @doc """
-  The outputs of these stages close, each as late as its inputs did; that of a source, or of one that is cut out of a
-  cycle, at the end.
+  Closes the outputs of these stages, each at the closing time of its inputs. A source, or a stage cut out of a cycle,
+  closes at the end.
   """
   @spec close(State.t(), [State.id()]) :: State.t()
   def close(state, ids), do: Enum.reduce(ids, state, &close_one/2)
@@ -130,7 +131,7 @@ defmodule Situ.Lifecycle.Shutdown do
 
   defp own_time(member, state), do: state.ending.final || member.ends_at || member.limit || 0
 
-  @doc "An input of `id` has closed. One whose inputs are all closed has nothing more to say."
+  @doc "Handles a closed input of `id`; a stage whose inputs are all closed closes, too."
   @spec input_closed(State.t(), State.id(), term(), Situ.Time.t()) :: State.t()
   def input_closed(%{links: %{active: active}} = state, _id, tag, _time)
       when not is_map_key(active, tag),
@@ -147,7 +148,7 @@ defmodule Situ.Lifecycle.Shutdown do
        else: state
   end
 
-  @doc "Nothing is closed by itself any more: ends, waits, or sees whether a cycle has come to rest."
+  @doc "Advances when no stage closes by itself: ends the pipeline, waits, or checks whether a cycle has come to rest."
   @spec go_on(State.t()) :: State.t()
   def go_on(%{step: :close} = state) do
     open? = MapSet.size(state.pending) > 0
@@ -161,7 +162,8 @@ defmodule Situ.Lifecycle.Shutdown do
   end
 
   @doc """
-  A cycle that is waited for was measured: whether nothing is on its way in it, a mark of its counters, who is busy.
+  Handles the measurement of an open cycle: whether no messages are in flight in it, a mark of its counters, and whether
+  any stage is busy.
   """
   @spec measured(State.t(), %{quiet?: boolean(), mark: term(), busy?: boolean()}) :: State.t()
   def measured(%{step: :close, ending: %{drain: {mark, polls}}} = state, seen) do
@@ -186,7 +188,7 @@ defmodule Situ.Lifecycle.Shutdown do
   defp pause(polls) when polls < 5, do: 1
   defp pause(_polls), do: 10
 
-  @doc "Everything is closed, or nothing has begun: stages end."
+  @doc "Ends the stages after everything has closed, or if nothing has begun."
   @spec quit(State.t()) :: State.t()
   def quit(state) do
     alive = alive(state)
@@ -195,12 +197,12 @@ defmodule Situ.Lifecycle.Shutdown do
     tell(%{state | phase: :stopping, step: :quit, pending: MapSet.new(alive)}, alive, :quit)
   end
 
-  # Subscribers outside the pipeline get the reason for the end.
+  # Subscribers outside the pipeline are given the reason for its end.
   defp abandon(state, ids) do
     if error = List.last(state.errors), do: tell(state, ids, {:abandon, error}), else: state
   end
 
-  @doc "All is final: the last handlers are called."
+  @doc "Completes the pipeline and calls the last handlers."
   @spec complete(State.t()) :: State.t()
   def complete(state), do: act(%{state | phase: :completed, step: :over}, {:handle, :completed})
 end

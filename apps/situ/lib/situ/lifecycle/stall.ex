@@ -1,16 +1,17 @@
 defmodule Situ.Lifecycle.Stall do
   @moduledoc false
-  # Finds the stages that do not end in time, names and kills them. Pure.
-  # The server looks twice, the stop timeout apart. If no counter has moved in between and nothing has happened, the
-  # busy stages are stuck; if none is busy, those that still owe an answer. A stage that makes ever more of one message,
-  # as of a gap of fifty years, gives up by itself at the second look when the stop is by hand.
+  # Finds the stages that do not end in time, names them in an error and kills them. Pure.
+  # The server measures twice, `stop_timeout` apart. If no counter has moved and nothing has happened in between, the
+  # busy stages are stuck; if no stage is busy, the stages that still owe a reply are stuck. After a stop by hand, a
+  # stage that emits ever more from one message (filling a gap of fifty years, for instance) gives up at the second
+  # measurement.
   alias Situ.Error
   alias Situ.Lifecycle.{Links, State}
   import Situ.Lifecycle.State
 
   @typedoc """
-  Whether anything has moved, which stages wait for a message and have none, and whether one waits for somebody
-  outside of the pipeline, or for its clock.
+  The result of two measurements: whether anything has moved, which stages wait for a message and have none, and whether
+  a stage waits for something outside the pipeline or for its clock.
   """
   @type seen :: %{moved?: boolean(), idle: MapSet.t(State.id()), patient?: boolean()}
 
@@ -49,7 +50,7 @@ defmodule Situ.Lifecycle.Stall do
     end
   end
 
-  # An end by hand waits for nobody.
+  # A stop by hand does not wait for anyone.
   defp waits?(state, seen), do: seen.patient? and not state.ending.by_hand
 
   defp owes?(id, %{step: :close} = state), do: not Links.free?(state.links, id)
@@ -61,9 +62,9 @@ defmodule Situ.Lifecycle.Stall do
     Error.new(
       :stuck,
       "#{names} did not end within #{state.limits.stop_timeout} ms and was killed",
-      why: "it neither took a message nor answered the stop",
+      why: "it neither took a message nor replied to the stop request",
       fix:
-        "look for a loop or a call that never returns; raise stop_timeout: when it is just slow",
+        "look for a loop or a call that never returns; if it is only slow, raise stop_timeout:",
       meta: %{component: names}
     )
   end

@@ -1,19 +1,19 @@
 defmodule Situ.Lifecycle.Startup do
   @moduledoc false
-  # How a pipeline starts. Pure.
+  # Starts a pipeline. Pure.
   #
-  #   handlers  those of `:run` are called: they may still build
-  #   up        every stage has a process, and that process its component's first state
+  #   handlers  the `:run` handlers are called; they may still add components
+  #   up        every stage has a process with its component's initial state
   #   sources   stages know their neighbours and `handle_start/2` has run in each
   #   running   messages flow
   alias Situ.Lifecycle.{Links, Shutdown, State}
   import Situ.Lifecycle.State
 
-  @doc "The graph is built, as far as `build/2` goes."
+  @doc "Begins the start, after `build/2` has built the graph, by calling the `:run` handlers."
   @spec begin(State.t()) :: State.t()
   def begin(state), do: act(%{state | phase: :starting, step: :handlers}, {:handle, :run})
 
-  @doc "The handlers have returned, and the graph is planned: its stages are spawned."
+  @doc "Spawns the stages of the planned graph."
   @spec planned(State.t(), %{State.id() => map()}, %{term() => Links.link()}) :: State.t()
   def planned(state, members, links) do
     ids = members |> Map.keys() |> Enum.sort()
@@ -28,15 +28,15 @@ defmodule Situ.Lifecycle.Startup do
         awaited: awaited
     }
 
-    # Nothing to run: nothing would ever end it.
+    # An empty pipeline has nothing that would ever end it.
     if ids == [] and state.mode == :run,
       do: Shutdown.complete(act(state, :start_clock)),
       else: act(state, {:spawn, ids})
   end
 
   @doc """
-  A stage has its first state. One that was restarted is wired at once. When another one has failed before the clock
-  began, this one is about to be quit.
+  Handles a stage that has its initial state. A stage that was restarted is wired immediately. If another stage failed
+  before the clock started, this one is about to quit and is not started.
   """
   @spec up(State.t(), State.id()) :: State.t()
   def up(state, id), do: state |> change(id, &%{&1 | up?: true}) |> wire(id)
@@ -45,7 +45,7 @@ defmodule Situ.Lifecycle.Startup do
   defp wire(%{step: step} = state, _id) when step in [:quit, :over], do: state
   defp wire(state, id), do: act(state, {:start, [id]})
 
-  @doc "`handle_start/2` has run in the stage. The neighbours of one that was restarted get to know it."
+  @doc "Handles a stage in which `handle_start/2` has run; a restarted stage is connected to its neighbours."
   @spec started(State.t(), State.id()) :: State.t()
   def started(%{step: :sources} = state, id) do
     state = answered(state, id)
@@ -66,7 +66,7 @@ defmodule Situ.Lifecycle.Startup do
     change(state, id, &%{&1 | again?: false})
   end
 
-  # The mark was for the process that is gone.
+  # The previous process received the closing mark, so the new one needs it again.
   defp closed({tag, _link}, state, id) do
     case state.links.closing do
       %{^tag => time} -> tell(state, [id], {:peer_gone, tag, time})
@@ -77,7 +77,7 @@ defmodule Situ.Lifecycle.Startup do
   defp neighbours(state, id),
     do: Links.into(state.links, id) ++ Links.out_of(state.links, id)
 
-  @doc "Nothing is waited for any more in `step`."
+  @doc "Advances to the next step; nothing is pending in the current one."
   @spec go_on(State.t()) :: State.t()
   def go_on(%{step: :up} = state) do
     ids = MapSet.new(alive(state))

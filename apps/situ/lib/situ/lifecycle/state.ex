@@ -2,15 +2,16 @@ defmodule Situ.Lifecycle.Member do
   @moduledoc false
   # The life cycle's view of one stage.
   #
-  #   status   :running, :failed (takes nothing any more), :restarting, :closed, :dead (its process is), :ended
-  #            (stopped as a part of a
-  #            pipeline that runs on)
+  #   status   :running, :failed (takes no more messages), :restarting, :closed, :dead (its process has ended), :ended
+  #            (stopped as a part of a pipeline that keeps running)
   #   open?    whether its outputs have yet to close
-  #   ends_at  the latest closing time among inputs that have closed; limit: nothing of it counts behind that time
-  #   up?      whether its process has said so since it was spawned last; alive?: whether there is a process
+  #   ends_at  the latest closing time among inputs that have closed
+  #   limit    messages of the stage after this time do not count
+  #   up?      whether its process has reported its initial state since the last spawn
+  #   alive?   whether it has a process
   #   added?   whether it was added to the running pipeline
   #   unit     the composite that it restarts, or ends, together with
-  #   again?   whether that process took the place of another, and its neighbours do not know it yet
+  #   again?   whether its process replaced an earlier one to which its neighbours still refer
   @enforce_keys [:id, :path]
   defstruct [
     :id,
@@ -53,13 +54,14 @@ defmodule Situ.Lifecycle.Ending do
   @moduledoc false
   # When and how a pipeline ends.
   #
-  #   wish     somebody wants it to end: `{time | :now, by_hand?}`; begins as soon as it can
+  #   wish     the requested end: `{time | :now, by_hand?}`; the pipeline begins to end as soon as it can
   #   final    the time up to which messages count
-  #   by_hand  sources that lag behind the clock, and cycles that never rest, may go on for `catch_up` ms only
-  #   enough?  those ms have passed
-  #   drain    what was measured last of a cycle that is waited for: `{mark, polls}`
-  #   latest   the latest end that a source has told; finite: the sources that have told one
-  #   moves    how often something has moved that no counter shows
+  #   by_hand  limits sources that lag behind the clock, and cycles that never rest, to `catch_up` ms
+  #   enough?  whether these ms have passed
+  #   drain    the last measurement of a cycle that has to come to rest: `{mark, polls}`
+  #   latest   the latest end that a source has reported
+  #   finite   the sources that have reported an end
+  #   moves    how many movements occurred that the counters do not show
   defstruct [
     :wish,
     :final,
@@ -87,14 +89,14 @@ end
 
 defmodule Situ.Lifecycle.State do
   @moduledoc false
-  # The state of a pipeline's life, and the actions that the event at hand has led to. Pure.
+  # The life-cycle state of a pipeline, and the actions that the current event has led to. Pure.
   #
-  #   pending  the stages that owe an answer in this step
-  #   awaited  the sources that have not told their end
-  #   parts    what is being stopped alone, by reference: Lifecycle.PartialStop
-  #   growths  what is being added, by reference: Lifecycle.Growth
+  #   pending  the stages that have yet to complete this step
+  #   awaited  the sources that have not reported their end
+  #   parts    the parts that are being stopped, by reference: Lifecycle.PartialStop
+  #   growths  the parts that are being added, by reference: Lifecycle.Growth
   #   leaving  removed stages whose processes have ended: Lifecycle.Removal
-  #   limits   `{restarts, ms}`: how often in how long a stage may be restarted; `stop_timeout` ms
+  #   limits   `{restarts, ms}`: how often a stage may be restarted within `ms`; `stop_timeout` ms
   alias Situ.Lifecycle.{Ending, Links, Member}
 
   @type id :: pos_integer()
@@ -145,7 +147,7 @@ defmodule Situ.Lifecycle.State do
           actions: [Situ.Lifecycle.action()]
         }
 
-  @doc "Adds an action; the server carries actions out in the order in which they were added."
+  @doc "Adds an action; the server performs actions in the order in which they were added."
   @spec act(t(), term()) :: t()
   def act(state, action), do: %{state | actions: [action | state.actions]}
 
@@ -169,28 +171,28 @@ defmodule Situ.Lifecycle.State do
   defp become(%{status: :running} = member, status), do: %{member | status: status}
   defp become(member, _status), do: member
 
-  @doc "The stage owes no answer any more."
+  @doc "Records that the current step no longer waits for the stage."
   @spec answered(t(), id()) :: t()
   def answered(state, id), do: %{state | pending: MapSet.delete(state.pending, id)}
 
   @spec ending(t(), keyword()) :: t()
   def ending(state, changes), do: %{state | ending: struct!(state.ending, changes)}
 
-  @doc "The pipeline is to end: at `time`, or now. The first wish counts."
+  @doc "Requests the end of the pipeline at `time` or now; the first request counts."
   @spec wish(t(), Situ.Time.t() | :now, boolean()) :: t()
   def wish(%{ending: %{wish: nil}} = state, time, by_hand),
     do: ending(state, wish: {time, by_hand})
 
   def wish(state, _time, _by_hand), do: state
 
-  @doc "An error that ends the pipeline."
+  @doc "Adds an error that ends the pipeline."
   @spec error(t(), Situ.Error.t()) :: t()
   def error(state, error), do: act(%{state | errors: [error | state.errors]}, {:failed, error})
 
   @spec alive(t()) :: [id()]
   def alive(state), do: for({id, %{alive?: true}} <- state.stages, do: id)
 
-  @doc "A fingerprint that stays the same while nothing happens."
+  @doc "Returns a fingerprint that changes only when something happens."
   @spec mark_of(t()) :: term()
   def mark_of(state) do
     parts = for {_, part} <- state.parts, do: MapSet.size(part.pending)

@@ -1,17 +1,17 @@
 defmodule Situ.Lifecycle.Unit do
   @moduledoc false
-  # A composite with an `on_error:` of its own: the failure or death of one of its stages does not end the pipeline.
-  # Either the whole composite restarts, or it ends and the rest runs on. Pure.
+  # A composite with its own `on_error:`, so that the failure or death of one of its stages does not end the pipeline.
+  # Either the whole composite restarts, or it ends and the rest keeps running. Pure.
   alias Situ.Error
   alias Situ.Lifecycle.{Failure, PartialStop, State}
   import Situ.Lifecycle.State
 
-  # A stage that has not ended by itself after so many ms is killed.
+  # A stage that has not ended by itself after this many ms is killed.
   @overdue_ms 5_000
 
   @doc """
-  The composite of a stage that fails while the pipeline runs, and whether it restarts or closes; `nil` if the failure
-  concerns the whole pipeline.
+  Returns the composite of a stage that fails while the pipeline is running, and whether it restarts or closes; `nil` if
+  the failure concerns the whole pipeline.
   """
   @spec of(State.t(), State.id()) :: {String.t(), :restart | :close} | nil
   def of(%{phase: :running} = state, id) do
@@ -21,7 +21,7 @@ defmodule Situ.Lifecycle.Unit do
 
   def of(_state, _id), do: nil
 
-  @doc "A stage of it failed; with `alive?: false` its process is gone as well."
+  @doc "Handles the failure of a stage; with `alive?: false` its process has ended, too."
   @spec failed(State.t(), State.id(), Error.t(), boolean(), Situ.Time.t()) :: State.t()
   def failed(state, id, error, alive?, now) do
     {path, how} = state.stages[id].unit
@@ -29,7 +29,7 @@ defmodule Situ.Lifecycle.Unit do
     if how == :restart, do: restart(state, path, error), else: close(state, id, path, alive?, now)
   end
 
-  # Its sources end where they are.
+  # The sources of the composite end at their current position.
   defp close(state, id, path, alive?, now) do
     state = mark(state, [id], :failed)
     ids = for member <- members(state, path), member.alive?, do: member.id
@@ -69,7 +69,7 @@ defmodule Situ.Lifecycle.Unit do
     end)
   end
 
-  @doc "A stage that was to end for a restart has ended."
+  @doc "Handles the end of a stage that had to end for a restart."
   @spec exited(State.t(), State.id(), Situ.Time.t()) :: State.t()
   def exited(state, id, now) do
     {path, _} = state.stages[id].unit
@@ -77,7 +77,7 @@ defmodule Situ.Lifecycle.Unit do
     if state.phase == :running, do: respawn(state, path), else: Failure.gone(state, id, now)
   end
 
-  # All of it at once, when the last of it is gone.
+  # Spawns all stages together once the last process has ended.
   defp respawn(state, path) do
     members = members(state, path)
 
@@ -93,7 +93,7 @@ defmodule Situ.Lifecycle.Unit do
     end
   end
 
-  @doc "It should have ended by now."
+  @doc "Kills a stage that should have ended by now."
   @spec overdue(State.t(), State.id()) :: State.t()
   def overdue(state, id) do
     case state.stages do

@@ -2,28 +2,36 @@ defmodule Situ.Aggregate do
   @where [
     type: {:fun, 1},
     doc:
-      "Only messages (with `:list`: elements) for which it is true; the others cause no output."
+      "Includes only messages (with `:list`: elements) for which it is true; the others cause no output."
   ]
   @schema [
     over: [type: :any, default: :all, doc: "See the table."],
     where: @where,
-    by: [type: {:fun, 1}, doc: "The number in a message (with `:list`: in an element)."],
+    by: [
+      type: {:fun, 1},
+      doc: "Extracts the number from a message (with `:list`: from an element)."
+    ],
     nullable: [
       type: :boolean,
-      doc: "An empty list gives `nil` for the least, greatest and average, instead of an error."
+      doc:
+        "Returns `nil` for the minimum, maximum or average of an empty list, instead of raising an error."
     ],
-    initial: [type: :any, doc: "The running deviation of one number, default `:nan`."],
+    initial: [
+      type: :any,
+      doc: "The running standard deviation after the first number, default `:nan`."
+    ],
     compare: [
       type: {:fun, 2},
-      doc: "For the least and greatest: whether the first comes before the second or is equal."
+      doc:
+        "For the minimum and maximum: returns true if the first value orders before or equal to the second."
     ]
   ]
-  @base [type: :number, doc: "The base; by default that of the natural logarithm."]
+  @base [type: :number, doc: "The base; the natural logarithm by default."]
 
   @moduledoc """
-  Statistics of streams of numbers. All are on `Situ` too: `Situ.sum/2` ...
+  Statistics over streams of numbers. All functions are also available on `Situ`: `Situ.sum/2` ...
 
-  `over:` names the messages that they are taken over:
+  `over:` selects the messages that a statistic covers:
 
   | `over:` | statistic of | output |
   |---|---|---|
@@ -32,8 +40,8 @@ defmodule Situ.Aggregate do
   | `{:last, n}` | the last `n` messages | from the `n`-th message on |
   | `{:past, span}` | the messages of the last `span` ns, both ends included | with each message |
 
-  Outputs keep the time of the message that causes them. Numbers may be `:nan`, `:infinity`, `:neg_infinity` and
-  `nil` (no value); the rules are those of `Situ.Statistics`.
+  Outputs keep the originating time of the message that causes them. Numbers may be `:nan`, `:infinity`,
+  `:neg_infinity` and `nil` (no value), and follow the rules of `Situ.Statistics`.
 
       Situ.average(level, over: {:past, Situ.Time.s(1)})
       Situ.count(words, where: &(&1 != ""))
@@ -46,7 +54,7 @@ defmodule Situ.Aggregate do
 
   #{Situ.Options.docs(@schema)}
 
-  and those of every operator (`Situ.Graph.Placement`).
+  All functions also take the options of every operator (`Situ.Graph.Placement`).
   """
 
   import Kernel, except: [abs: 1, max: 2, min: 2]
@@ -56,7 +64,8 @@ defmodule Situ.Aggregate do
   alias Situ.Statistics.Sliding
 
   @doc """
-  Folds without an initial value: the first message passes as it is, then `fun.(data, previous_output)`.
+  Folds a stream without an initial value. The first message passes unchanged; each later output is
+  `fun.(data, previous_output)`.
   """
   @spec reduce(Stream.t(), (term(), term() -> term()), keyword()) :: Stream.t()
   def reduce(stream, fun, opts \\ [])
@@ -75,33 +84,33 @@ defmodule Situ.Aggregate do
 
   defp folded(value), do: {:emit, value, {:some, value}}
 
-  @doc "How many messages (or elements)."
+  @doc "Counts the messages (or elements)."
   @spec count(Stream.t(), keyword()) :: Stream.t()
   def count(stream, opts \\ []), do: statistic(stream, :count, opts)
 
-  @doc "Their sum; `nil` adds nothing."
+  @doc "Computes the sum. `nil` adds nothing."
   @spec sum(Stream.t(), keyword()) :: Stream.t()
   def sum(stream, opts \\ []), do: statistic(stream, :sum, opts)
 
-  @doc "The least."
+  @doc "Computes the minimum."
   @spec min(Stream.t(), keyword()) :: Stream.t()
   def min(stream, opts \\ []), do: statistic(stream, :min, opts)
 
-  @doc "The greatest."
+  @doc "Computes the maximum."
   @spec max(Stream.t(), keyword()) :: Stream.t()
   def max(stream, opts \\ []), do: statistic(stream, :max, opts)
 
-  @doc "The mean, a float."
+  @doc "Computes the mean, as a float."
   @spec average(Stream.t(), keyword()) :: Stream.t()
   def average(stream, opts \\ []), do: statistic(stream, :average, opts)
 
-  @doc "The standard deviation of a sample (n - 1)."
+  @doc "Computes the sample standard deviation (n - 1)."
   @spec std(Stream.t(), keyword()) :: Stream.t()
   def std(stream, opts \\ []), do: statistic(stream, :std, opts)
 
   @doc """
-  The next number minus this one, at **this** one's time: it comes out with the next message, and the last message
-  gives nothing. `where:` filters first.
+  Emits the next number minus the current one, at the **current** message's originating time. Each difference is
+  emitted when the next message arrives, so the last message has no output. `where:` filters first.
   """
   @spec delta(Stream.t(), keyword()) :: Stream.t()
   def delta(stream, opts \\ []) do
@@ -111,7 +120,7 @@ defmodule Situ.Aggregate do
     Window.window(stream, 0..1, fun, name("Delta", placed))
   end
 
-  @doc "Each number without its sign. `where:` filters first."
+  @doc "Emits the absolute value of each number. `where:` filters first."
   @spec abs(Stream.t(), keyword()) :: Stream.t()
   def abs(stream, opts \\ []) do
     stream = Argument.stream!(stream, "Situ.abs(stream)")
@@ -119,7 +128,7 @@ defmodule Situ.Aggregate do
     Operator.attach(stream, "Abs", {:map, &Number.abs/1}, placed, stream.type)
   end
 
-  @doc "The logarithm of each number: natural, or to `base:`. `where:` filters first."
+  @doc "Emits the logarithm of each number: natural, or to `base:`. `where:` filters first."
   @spec log(Stream.t(), keyword()) :: Stream.t()
   def log(stream, opts \\ []) do
     stream = Argument.stream!(stream, "Situ.log(stream)")
@@ -135,7 +144,7 @@ defmodule Situ.Aggregate do
   end
 
   defp logarithm(base) do
-    raise ArgumentError, "a base is a number above 0 other than 1, got: #{inspect(base)}"
+    raise ArgumentError, "base: must be a number above 0 other than 1, got: #{inspect(base)}"
   end
 
   defp statistic(%Stream{} = stream, kind, opts) do
@@ -165,7 +174,7 @@ defmodule Situ.Aggregate do
 
   defp over(other, _stream, _spec, _opts) do
     raise ArgumentError,
-          "over: is :all, :list, {:last, n} or {:past, ns}, got: #{inspect(other)}"
+          "over: must be :all, :list, {:last, n} or {:past, ns}, got: #{inspect(other)}"
   end
 
   defp history(stream, {kind, name, own}, opts, step) do

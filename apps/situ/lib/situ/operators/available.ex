@@ -1,10 +1,10 @@
 defmodule Situ.Available do
   @moduledoc """
-  Interpolators that answer at once with what has arrived: quick, but **not reproducible**, since the answer depends
-  on timing.
+  Interpolators that use only the messages that have already arrived. They never wait, but they are
+  **not reproducible**, since the result depends on timing.
 
-  Use them where an answer now beats the right answer later (a display, a control loop), with `Situ.fuse/4`;
-  `Situ.join/4` refuses them. Windows and options are those of `Situ.Reproducible`.
+  Use them with `Situ.fuse/4` where a result now beats the correct result later, as in a display or a control loop.
+  `Situ.join/4` rejects them. Windows and options are the same as in `Situ.Reproducible`.
 
       iex> messages = for {t, v} <- [{10, :a}, {20, :b}], do: %Situ.Message{originating_time: t, data: v}
       iex> Situ.Interpolator.interpolate(Situ.Available.nearest(), 24, messages, nil)
@@ -14,18 +14,18 @@ defmodule Situ.Available do
   alias Situ.{Interpolator, Interval, Reproducible}
   alias Situ.Interpolator.{First, Last, Nearest}
 
-  @doc "The message with exactly the asked time, if it has arrived."
+  @doc "Selects the message with exactly the requested time, if it has arrived."
   @spec exact(keyword()) :: Interpolator.t()
   def exact(opts \\ []), do: nearest(Interval.zero(), opts)
 
-  @doc "The nearest arrived message in the window (default: the nearest of all)."
+  @doc "Selects the nearest message in the window that has arrived (default: any distance)."
   @spec nearest(Reproducible.window() | keyword(), keyword()) :: Interpolator.t()
   def nearest(window \\ Interval.infinite(), opts \\ []) do
     {window, opts} = Interpolator.window(window, opts, Interval.infinite())
     Interpolator.new(Nearest, {window, false}, [gives: :messages] ++ opts)
   end
 
-  @doc "The first arrived message in the window (default: from the asked time on)."
+  @doc "Selects the first message in the window that has arrived (default: at or after the requested time)."
   @spec first(Reproducible.window() | keyword(), keyword()) :: Interpolator.t()
   def first(window \\ Interval.future(), opts \\ []) do
     {window, opts} = Interpolator.window(window, opts, Interval.future())
@@ -33,7 +33,7 @@ defmodule Situ.Available do
     Interpolator.new(First, {window, false}, [gives: :messages] ++ opts)
   end
 
-  @doc "The last arrived message in the window (default: up to the asked time)."
+  @doc "Selects the last message in the window that has arrived (default: at or before the requested time)."
   @spec last(Reproducible.window() | keyword(), keyword()) :: Interpolator.t()
   def last(window \\ Interval.past(), opts \\ []) do
     {window, opts} = Interpolator.window(window, opts, Interval.past())

@@ -1,9 +1,9 @@
 defmodule Situ.Branch do
   @moduledoc """
-  A piece of a pipeline that runs as a value: no process, no queue, one message at a time.
+  A part of a pipeline that runs as a value: it has no process and no queue, and handles one message at a time.
 
-  Components are pure state machines, so a graph of them is one too. `Situ.parallel/3` runs its branches this way,
-  which makes a branch as cheap as the state that its components keep.
+  Components are pure state machines, and so is a graph of them. `Situ.parallel/3` runs its branches this way, so a
+  branch costs no more than the state of its components.
 
       iex> branch = Situ.Branch.start(fn stream -> stream |> Situ.map(& &1 + 1) |> Situ.sum() end)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
@@ -12,9 +12,9 @@ defmodule Situ.Branch do
       iex> outputs
       [{2, 32}]
 
-  A branch may hold anything that does no more than answer its inputs: all operators but sources, `Situ.timer/3` and
-  `Situ.delay/3`, and components without timers and processes of their own. Others are refused with `Situ.Error`
-  `:not_in_branch`.
+  A branch may contain every component that only reacts to its inputs: all operators except sources, `Situ.timer/3`
+  and `Situ.delay/3`, and all components without timers or processes. Other components are rejected with
+  `Situ.Error` `:not_in_branch`.
   """
 
   alias Situ.{Error, Graph, Message, Stream}
@@ -23,10 +23,10 @@ defmodule Situ.Branch do
   @type t :: Chained.t() | Network.t()
   @type outputs :: [{Situ.Time.t(), term()}]
 
-  @typedoc "Where branches begin: a graph that holds the way in and nothing else."
+  @typedoc "The start of a branch: a graph that contains only its inlet."
   @opaque seed :: {Graph.t(), Stream.t()}
 
-  @doc "The beginning that all branches with this type of input share."
+  @doc "Builds the initial graph shared by all branches with this input type."
   @spec seed(Situ.Type.t()) :: seed()
   def seed(type \\ :any) do
     Graph.build(fn p ->
@@ -37,10 +37,11 @@ defmodule Situ.Branch do
   end
 
   @doc """
-  Builds the graph of `fun` (from a stream to a stream, or to anything else when nothing is to come out) and starts it.
+  Builds the graph of `fun` and starts it. `fun` maps a stream to a stream, or to any other term if the branch has no
+  output.
 
-  Options: `type:` of the input or a `seed:`, `path:` for errors (a string, or `{string, key}`), `context:` the
-  surrounding component's.
+  Options: `type:` (of the input) or `seed:`, `path:` for errors (a string, or `{string, key}`), and `context:` (of
+  the surrounding component).
   """
   @spec start((Stream.t() -> Stream.t() | term()), keyword()) :: t()
   def start(fun, opts \\ []) when is_function(fun, 1) do
@@ -68,22 +69,22 @@ defmodule Situ.Branch do
     end
   end
 
-  @doc "One message in; what comes out, in order."
+  @doc "Pushes a message through the branch and returns its outputs in order."
   @spec push(t(), Message.t()) :: {outputs(), t()}
   def push(%Chained{} = branch, message), do: Chained.push(branch, message)
   def push(%Network{} = branch, message), do: Network.push(branch, message)
 
-  @doc "The input ends: what still comes out."
+  @doc "Closes the input and returns the remaining outputs."
   @spec close(t(), Situ.Time.t()) :: outputs()
   def close(%Chained{}, _time), do: []
   def close(%Network{} = branch, time), do: Network.close(branch, time)
 
-  @doc "Whether an input's output, if it has one, comes with it and at its time."
+  @doc "Returns whether each input's output, if any, is emitted immediately and at the same originating time."
   @spec immediate?(t()) :: boolean()
   def immediate?(%Chained{}), do: true
   def immediate?(%Network{}), do: false
 
-  @doc "Whether something comes out at all."
+  @doc "Returns whether the branch has an output."
   @spec output?(t()) :: boolean()
   def output?(%{result: result}), do: result != nil
 
@@ -93,16 +94,16 @@ defmodule Situ.Branch do
     if is_list(vertex.opts) and vertex.opts[:branches] == :processes do
       raise Error.new(
               :not_in_branch,
-              "#{vertex.path} has branches in processes inside of a branch that is a value",
-              fix: "give the outer parallel branches: :processes, too"
+              "#{vertex.path} uses branches: :processes inside a branch that runs as a value",
+              fix: "give the outer parallel operator branches: :processes, too"
             )
     end
 
     if Graph.Vertex.source?(vertex) do
-      raise Error.new(:not_in_branch, "#{vertex.path} is a source inside of a parallel branch",
+      raise Error.new(:not_in_branch, "#{vertex.path} is a source inside a parallel branch",
               why: "a branch only reacts to its input",
               fix:
-                "give parallel branches: :processes, or bring the source's values in with the messages"
+                "give parallel branches: :processes, or bring in the source's values with the messages"
             )
     end
   end

@@ -9,43 +9,48 @@ defmodule Situ.Filter do
     order: [
       type: :pos_integer,
       doc:
-        "Default 4 infinite; 64 finite, and for narrow bands so many that they are separated: " <>
-          "4 times the rate over the width."
+        "Default: 4 for infinite filters; for finite ones 64, or 4 times the rate divided by the width " <>
+          "of a narrow band, so that its edges are separated."
     ],
     interpolator: [
       type: {:struct, Situ.Interpolator},
-      doc: "How the input is sampled, default `Situ.Reproducible.linear/1`."
+      doc: "Interpolator that samples the input, default `Situ.Reproducible.linear/1`."
     ],
-    align: [type: :time_ns, doc: "Ticks congruent to this time."]
+    align: [type: :time_ns, doc: "Aligns ticks to times congruent to this one."]
   ]
   @edge [
           rate: @rate,
-          cutoff: [type: :number, required: true, doc: "Hz, above 0 and below half the rate."]
+          cutoff: [
+            type: :number,
+            required: true,
+            doc: "Cutoff in Hz, above 0 and below half the rate."
+          ]
         ] ++ @shared
   @band [
           rate: @rate,
           band: [type: {:tuple, [:number, :number]}, required: true, doc: "`{low, high}` in Hz."]
         ] ++ @shared
-  @denoise [order: [type: :pos_integer, default: 7, doc: "How many samples."]]
+  @denoise [order: [type: :pos_integer, default: 7, doc: "Number of samples."]]
   @one_euro Situ.Filter.OneEuro.options()
 
   @moduledoc """
-  Digital filters over streams of numbers. All are on `Situ` too: `Situ.lowpass/2` ...
+  Digital filters over streams of numbers. All functions are also available on `Situ`: `Situ.lowpass/2` ...
 
-  | filter | passes | input | output's time |
+  | filter | passes | input | output time |
   |---|---|---|---|
   | `lowpass/2`, `highpass/2` | below, above `cutoff:` Hz | resampled at `rate:` | the tick |
-  | `bandpass/2`, `bandstop/2` | between, outside of `band: {low, high}` Hz | resampled at `rate:` | the tick |
-  | `denoise/2` | the median of the last `order:` samples | as it comes | input's |
-  | `one_euro/2` | slow changes smoothed, fast ones passed (`Situ.Filter.OneEuro`) | as it comes, irregular | input's |
+  | `bandpass/2`, `bandstop/2` | inside, outside `band: {low, high}` Hz | resampled at `rate:` | the tick |
+  | `denoise/2` | the median of the last `order:` samples | as it arrives | the input's |
+  | `one_euro/2` | slow changes smoothed, fast ones kept (`Situ.Filter.OneEuro`) | as it arrives | the input's |
 
-  The first four sample their input first, every 1/rate seconds (rounded to ns), by linear interpolation. All are
+  The first four resample their input every 1/rate seconds (rounded to ns), by linear interpolation. All filters are
   reproducible.
 
-  Samples are numbers as in `Situ.Number`. `:nan` and infinities are contagious, as in `Situ.Statistics`: as long as
-  one lies within a median or the taps of a finite filter, and for good in an infinite one and in the 1 euro filter,
-  whose outputs go into the next. `nil`, no value, comes out as it is and leaves the filter alone; so do ticks
-  between a number and `nil`. Anything that is no number is an error, `:not_a_number`.
+  Samples are numbers as in `Situ.Number`. `:nan` and infinities propagate, as in `Situ.Statistics`. In a median or a
+  finite filter, they affect the output while they are among the samples in use. In an infinite filter and in the
+  1 euro filter, where each output feeds into the next, they affect all later outputs. `nil` (no value) is passed
+  through and does not change the filter's state; the same applies to ticks between a number and `nil`. Any other
+  value is an error, `:not_a_number`.
 
       level |> Situ.lowpass(rate: 100, cutoff: 5)
       gaze |> Situ.map(& &1.x) |> Situ.one_euro(min_cutoff: 1.5, slope: 0.01)
@@ -59,30 +64,30 @@ defmodule Situ.Filter do
 
   #{Situ.Options.docs(@shared)}
 
-  All filters take the options of every operator, too (`Situ.Graph.Placement`).
+  All filters also take the options of every operator (`Situ.Graph.Placement`).
   """
 
   alias Situ.{Argument, Fusion, Number, Operator, Reproducible, Stream}
   alias Situ.Graph.Placement
   alias Situ.Filter.{Fir, Iir, OneEuro}
 
-  @doc "Frequencies below `cutoff:`; `rate:` in Hz."
+  @doc "Passes frequencies below `cutoff:`; `rate:` in Hz."
   @spec lowpass(Stream.t(), keyword()) :: Stream.t()
   def lowpass(stream, opts), do: edge(stream, "Lowpass", :lowpass, opts)
 
-  @doc "Frequencies above `cutoff:`; `rate:` in Hz."
+  @doc "Passes frequencies above `cutoff:`; `rate:` in Hz."
   @spec highpass(Stream.t(), keyword()) :: Stream.t()
   def highpass(stream, opts), do: edge(stream, "Highpass", :highpass, opts)
 
-  @doc "Frequencies inside of `band:`; `rate:` in Hz."
+  @doc "Passes frequencies inside `band:`; `rate:` in Hz."
   @spec bandpass(Stream.t(), keyword()) :: Stream.t()
   def bandpass(stream, opts), do: band(stream, "Bandpass", :bandpass, opts)
 
-  @doc "Frequencies outside of `band:`; `rate:` in Hz."
+  @doc "Passes frequencies outside `band:`; `rate:` in Hz."
   @spec bandstop(Stream.t(), keyword()) :: Stream.t()
   def bandstop(stream, opts), do: band(stream, "Bandstop", :bandstop, opts)
 
-  @doc "The median of the last `order:` samples (default 7; fewer at the beginning), which takes single outliers away."
+  @doc "Emits the median of the last `order:` samples (default 7; fewer at the start), which removes single outliers."
   @spec denoise(Stream.t(), keyword()) :: Stream.t()
   def denoise(stream, opts \\ [])
 
@@ -101,7 +106,7 @@ defmodule Situ.Filter do
   def denoise(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.denoise(stream)")
 
   @doc """
-  The 1 euro filter, see `Situ.Filter.OneEuro`.
+  Smooths samples with the 1 euro filter, see `Situ.Filter.OneEuro`.
 
   #{Situ.Options.docs(@one_euro)}
   """
@@ -158,16 +163,16 @@ defmodule Situ.Filter do
 
   defp check!(rate, edges) do
     unless is_number(rate) and rate > 0 do
-      raise ArgumentError, "a rate is a number of Hz above 0, got: #{inspect(rate)}"
+      raise ArgumentError, "rate: must be a number of Hz above 0, got: #{inspect(rate)}"
     end
 
     unless Enum.all?(edges, &(&1 > 0 and &1 < rate / 2)) and edges == Enum.sort(edges) do
       raise ArgumentError,
-            "edges rise and lie between 0 and #{rate / 2} Hz (half the rate), got: #{inspect(edges)}"
+            "edges must increase, between 0 and #{rate / 2} Hz (half the rate), got: #{inspect(edges)}"
     end
   end
 
-  # No value is no sample: it comes out as it is.
+  # `nil` is not a sample, so it passes through without changing the state.
   defp valued(step) do
     fn
       nil, _message, state -> {:emit, nil, state}

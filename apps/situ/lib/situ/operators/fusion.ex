@@ -3,22 +3,22 @@ defmodule Situ.Fusion do
     give_up_after: [
       type: :pos_integer,
       doc:
-        "ns: a primary that still waits when a primary this much later has arrived is decided " <>
-          "by the messages that are there. " <>
+        "Maximum wait, ns. When a primary this much later has arrived, a waiting primary is decided " <>
+          "using the messages that have arrived. " <>
           "The result then depends on timing."
     ],
     max_queue: [
       type: :pos_integer,
       doc:
-        "So many primaries, and so many messages of each secondary, wait at most. Sources " <>
-          "that can wait are made to; where that does " <>
-          "not help the oldest primary is decided by the messages that are there, and the " <>
+        "Maximum number of waiting primaries, and of waiting messages of each secondary. " <>
+          "Sources that can wait are paused; if that is not enough, " <>
+          "the oldest primary is decided using the messages that have arrived, and the " <>
           "oldest secondary message is dropped. " <>
           "The result then depends on timing."
     ]
   ]
-  @with [type: {:fun, 2}, doc: "Makes the output: `fun.(primary, secondary)`."]
-  @flatten [type: :boolean, default: true, doc: "Puts tuple-typed sides in flat."]
+  @with [type: {:fun, 2}, doc: "Builds the output: `fun.(primary, secondary)`."]
+  @flatten [type: :boolean, default: true, doc: "Flattens tuple-typed sides into one tuple."]
   @fuse [with: @with, flatten: @flatten] ++
           @waiting ++
           [
@@ -26,28 +26,34 @@ defmodule Situ.Fusion do
               type: {:in, [:stay, :leave]},
               default: :stay,
               doc:
-                "Maps: an input that has ended is still asked for (it has no value then), or is left out from then on."
+                "For maps: whether an input that has ended is still queried (`:stay`; it then has no value) " <>
+                  "or is left out from then on (`:leave`)."
             ]
           ]
   @pair [
     with: @with,
     flatten: @flatten,
-    initial: [type: :any, doc: "Stands for the secondary before its first message."]
+    initial: [type: :any, doc: "The secondary value before the first secondary message."]
   ]
-  @tick [align: [type: :time_ns, doc: "With an interval: ticks congruent to this time."]] ++
+  @tick [
+          align: [
+            type: :time_ns,
+            doc: "With an interval: aligns ticks to times congruent to this one."
+          ]
+        ] ++
           @waiting
 
   @moduledoc """
-  Operators that bring streams together by time. All are on `Situ` too: `Situ.join/4` ...
+  Operators that combine streams by time. All functions are also available on `Situ`: `Situ.join/4` ...
 
-  | operator | pairs a message with | output's time | reproducible |
+  | operator | pairs a message with | output time | reproducible |
   |---|---|---|---|
-  | `join/4` | the value a reproducible interpolator gives, by default the message at the very time | primary's | yes |
-  | `fuse/4` | the value any interpolator gives | primary's | with `Situ.Reproducible` |
-  | `pair/3` | the latest message that has arrived | primary's | no |
-  | `zip/2` | all messages of that time | that time | yes |
-  | `merge/2` | nothing: whole messages in the order of arrival | the clock | no |
-  | `interpolate/4`, `sample/4` | gives a stream's value at the ticks of a clock | tick's | with `Situ.Reproducible` |
+  | `join/4` | a value from a reproducible interpolator, by default the message at that time | the primary's | yes |
+  | `fuse/4` | a value from any interpolator | the primary's | with `Situ.Reproducible` |
+  | `pair/3` | the latest message that has arrived | the primary's | no |
+  | `zip/2` | all messages of the same time | that time | yes |
+  | `merge/2` | nothing: emits complete messages in order of arrival | the clock | no |
+  | `interpolate/4`, `sample/4` | a clock tick with the stream's value | the tick's | with `Situ.Reproducible` |
 
       iex> inputs = [camera: [{0, :c0}, {20, :c20}], tracker: [{2, :door}, {17, :lamp}]]
       iex> Situ.Test.run(inputs, fn s -> Situ.join(s.camera, s.tracker, 5) end)
@@ -55,24 +61,24 @@ defmodule Situ.Fusion do
 
   ## Forms
 
-  `join(a, b)` gives `{a, b}`; `join(a, [b, c])` gives `{a, [b, c]}`; `join([a, b, c])` gives `[a, b, c]`, its first
-  stream being the primary; `join(a, %{left: b, right: c})` gives `{a, %{left: b, right: c}}`, and its inputs may
-  come and go (`add_input/4`). Where a stream's type is a tuple (as a join's is), its elements are put in flat: `a
-  |> join(b) |> join(c)` gives `{a, b, c}`. (A default that is not a tuple applies to each element of its side.)
-  `with: fun` makes the output itself, `fun.(primary, secondary)`.
+  `join(a, b)` emits `{a, b}`, and `join(a, [b, c])` emits `{a, [b, c]}`. `join([a, b, c])` emits `[a, b, c]`, with
+  the first stream as the primary. `join(a, %{left: b, right: c})` emits `{a, %{left: b, right: c}}`, and its inputs
+  can be added and removed while it is running (`add_input/4`). If a stream's type is a tuple, as a join's is, its
+  elements are flattened: `a |> join(b) |> join(c)` emits `{a, b, c}`. (A default that is not a tuple applies to each
+  element of its side.) `with: fun` builds the output with `fun.(primary, secondary)`.
 
   A tolerance (ns) or a window in place of an interpolator means `Situ.Reproducible.nearest/2`.
 
-  Primaries wait until every secondary can answer. A secondary that falls silent without ending makes them wait (see
-  the queue lengths in the diagnostics): `give_up_after:` and `max_queue:` bound that. A lossy policy on an input
-  drops messages before the operator sees them; what is left is fused by the same rule, but which messages are left
-  depends on timing.
+  Each primary waits until every secondary can be decided. A secondary that falls silent without ending makes
+  primaries wait (see the queue lengths in the diagnostics); `give_up_after:` and `max_queue:` limit this. A lossy
+  policy on an input drops messages before the operator sees them. The remaining messages are fused by the same rule,
+  but which messages remain depends on timing.
 
   ## Options
 
   #{Situ.Options.docs(@fuse)}
 
-  and those of `Situ.Graph.Placement`, where `policy:` may be a list with one for each input, primary first.
+  The options of `Situ.Graph.Placement` also apply; `policy:` may be a list with one policy per input, primary first.
   """
 
   alias Situ.Fusion.{Arguments, Assembly, DynamicInputs}
@@ -82,10 +88,10 @@ defmodule Situ.Fusion do
   @typedoc "An interpolator, a tolerance in ns, or a window."
   @type interpolator :: Interpolator.t() | Situ.Time.duration() | Interval.t()
 
-  @typedoc "Secondary streams by keys."
+  @typedoc "Secondary streams by key."
   @type keyed :: %{term() => Stream.t()}
 
-  @doc "Reproducible fusion: see the forms above. Refuses interpolators that are not reproducible."
+  @doc "Joins streams reproducibly, in the forms above. Rejects interpolators that are not reproducible."
   @spec join(
           Stream.t() | [Stream.t()],
           Stream.t() | [Stream.t()] | keyed() | interpolator() | keyword(),
@@ -99,7 +105,7 @@ defmodule Situ.Fusion do
     Assembly.fuse("Join", streams, interpolator, split(opts, @fuse))
   end
 
-  @doc "Fusion by any interpolator: see the forms above."
+  @doc "Fuses streams with any interpolator, in the forms above."
   @spec fuse(
           Stream.t() | [Stream.t()],
           Stream.t() | [Stream.t()] | keyed() | interpolator(),
@@ -112,21 +118,21 @@ defmodule Situ.Fusion do
   end
 
   @doc """
-  Adds a stream to a join or fusion over a map, or to a merge, while the pipeline runs; it takes part under `key`.
+  Adds a stream to a join or fusion over a map, or to a merge, while the pipeline is running. Its key is `key`.
 
-      fused = Situ.join(picture, %{left: left}, Situ.Time.ms(20))
+      fused = Situ.join(image, %{left: left}, Situ.Time.ms(20))
       ...
       {:ok, from} = Situ.Fusion.add_input(fused, :right, right)
 
-  `fused` and `stream` are streams of the same running pipeline, or `{pipeline, name}` and a name. Answers the
-  originating time from which the input takes part, or `:start` when nothing has come yet: primaries from that time
-  on need its value, earlier ones are as if it were not there, and so are its own earlier messages. By default that
-  is the earliest time at which this is exact: behind the last primary that has arrived and behind the last message
-  that `stream` has sent. `from:` names a later one; the outputs then do not depend on the moment of adding. A merge
-  takes messages from now on.
+  `fused` and `stream` are streams of the same running pipeline, or `{pipeline, name}` and a name. Returns the
+  originating time from which the input takes part, or `:start` if no message has arrived yet. Primaries from that
+  time on need its value. Earlier primaries are unaffected by it, and its earlier messages are ignored. The default
+  is the earliest time for which this is exact: after the last primary that has arrived, and after the last message
+  that `stream` has sent. `from:` sets a later time, which makes the outputs independent of the moment of adding. A
+  merge takes messages from now on.
 
-  Options: `from:` (ns), `interpolator:` (default the operator's), `policy:`. Errors: `:too_late` (with the
-  `earliest` time in `meta`), `:duplicate_input`, `:not_reproducible`, `:fixed_inputs` (an operator of another
+  Options: `from:` (ns), `interpolator:` (default: the operator's), `policy:`. Errors: `:too_late` (with the
+  `earliest` time in `meta`), `:duplicate_input`, `:not_reproducible`, `:fixed_inputs` (an operator of a different
   form), `:circle` (the stream depends on the operator), `:inside_chain`, `:unknown_stream`, `:not_running`.
   """
   @spec add_input(
@@ -138,24 +144,24 @@ defmodule Situ.Fusion do
   def add_input(fused, key, stream, opts \\ []), do: DynamicInputs.add(fused, key, stream, opts)
 
   @doc """
-  Takes the input `key` of a join or fusion over a map, or of a merge, away while the pipeline runs, whether it was
-  added or there from the start.
+  Removes the input `key` of a join or fusion over a map, or of a merge, while the pipeline is running. The input may
+  have been added later or present from the start.
 
-  Answers the originating time from which primaries do not need it (`:start` when none has come yet): by default,
-  and at the earliest, behind the last primary that has arrived; `until:` names a later one. Primaries before that
-  still wait for it; then the connection goes. Errors: `:too_late`, `:unknown_input`, `:fixed_inputs`,
-  `:not_running`.
+  Returns the originating time from which primaries no longer need the input, or `:start` if no primary has arrived
+  yet. The default, and earliest, time is after the last primary that has arrived; `until:` sets a later time. Earlier
+  primaries still wait for the input, and then it is disconnected. Errors: `:too_late`, `:unknown_input`,
+  `:fixed_inputs`, `:not_running`.
   """
   @spec remove_input(Stream.t() | {Pipeline.target(), String.t()}, key :: term(), keyword()) ::
           {:ok, Situ.Time.t() | :start} | {:error, Situ.Error.t()}
   def remove_input(fused, key, opts \\ []), do: DynamicInputs.remove(fused, key, opts)
 
   @doc """
-  Each primary with the latest secondary that has arrived by then; primaries before the first secondary are dropped,
-  unless `initial:` gives a value. Reproducible: no.
+  Pairs each primary with the latest secondary that has arrived. Primaries before the first secondary are dropped,
+  unless `initial:` is given. Reproducible: no.
 
-  Pairs depend on arrival: when a recording is read as fast as possible (speed `:max`), all its primaries may arrive
-  before the first secondary, and then there are no pairs. `join/4` with `Situ.Reproducible.last()` gives the latest
+  Pairs depend on arrival: when a recording is read as fast as possible (speed `:max`), all primaries may arrive
+  before the first secondary, and then there are no pairs. `join/4` with `Situ.Reproducible.last()` returns the latest
   secondary by originating time, at any speed.
 
   #{Situ.Options.docs(@pair)}
@@ -170,8 +176,8 @@ defmodule Situ.Fusion do
     do: Argument.refuse!(other, :streams, "Situ.pair(primary, secondary)")
 
   @doc """
-  The messages of all streams, grouped by originating time: a list of those that share it, in the order of the
-  streams. A group goes out when every stream has reached its time or ended.
+  Groups the messages of all streams by originating time. Each output is the list of messages at that time, in the
+  order of the streams. A group is emitted when every stream has reached its time or ended.
   """
   @spec zip(Stream.t() | [Stream.t()], Stream.t() | keyword(), keyword()) :: Stream.t()
   def zip(first, second \\ [], opts \\ []) do
@@ -181,10 +187,11 @@ defmodule Situ.Fusion do
   end
 
   @doc """
-  All messages of all streams as they arrive, each a whole `Situ.Message`, stamped with the clock. Reproducible: no.
+  Emits the messages of all streams as they arrive, each as a complete `Situ.Message`, with the clock's time.
+  Reproducible: no.
 
-  Streams may be added and taken away while it runs (`add_input/4`, `remove_input/3`); those it begins with have the
-  keys 0, 1, 2 ...
+  Streams can be added and removed while the pipeline is running (`add_input/4`, `remove_input/3`). The initial
+  streams have the keys 0, 1, 2 ...
   """
   @spec merge(Stream.t() | [Stream.t()], Stream.t() | keyword(), keyword()) :: Stream.t()
   def merge(first, second \\ [], opts \\ []) do
@@ -194,8 +201,9 @@ defmodule Situ.Fusion do
   end
 
   @doc """
-  The stream's value at every tick: of another stream (`clock`), or of an interval in ns, counted from the
-  pipeline's start or aligned with `align:` (a time). Ticks end with the stream; one without a value gives nothing.
+  Emits the stream's value at every tick. Ticks come from another stream (`clock`) or from an interval in ns, counted
+  from the pipeline's start or aligned with `align:` (a time). Ticks end with the stream; a tick without a value has no
+  output.
 
   #{Situ.Options.docs(@tick)}
   """
@@ -214,7 +222,7 @@ defmodule Situ.Fusion do
         "Situ.interpolate(stream, clock, Situ.Reproducible.linear())"
       )
 
-  @doc "As `interpolate/4`, by default with the nearest message: of all, or within a tolerance or window."
+  @doc "Works like `interpolate/4`, by default with the nearest message; a tolerance or window limits the distance."
   @spec sample(
           Stream.t(),
           Stream.t() | Situ.Time.duration(),

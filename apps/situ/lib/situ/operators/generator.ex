@@ -1,43 +1,47 @@
 defmodule Situ.Generator do
-  @every [type: :integer, doc: "ns from one item to the next."]
-  @align [type: :time_ns, doc: "Times congruent to this one, modulo `every:`."]
-  @keep_open [type: :boolean, default: false, doc: "Stay open after the last item."]
+  @every [type: :integer, doc: "Interval between items, ns."]
+  @align [type: :time_ns, doc: "Aligns times to this one, modulo `every:`."]
+  @keep_open [type: :boolean, default: false, doc: "Stays open after the last item."]
   @count [
     type: {:or, [:non_neg_integer, {:in, [:infinity]}]},
     default: :infinity,
-    doc: "How many items."
+    doc: "Number of items."
   ]
 
   @paced [every: [required: true] ++ @every, count: @count, align: @align, keep_open: @keep_open]
   @enumerable [
     every: [
       type: :integer,
-      doc: "ns from one item to the next; without it items bring their times."
+      doc: "Interval between items, ns. Without it, items contain their own times."
     ],
     align: @align,
-    start: [type: :time_ns, doc: "Proposes a replay from this time on (items with times)."],
+    start: [
+      type: :time_ns,
+      doc: "Proposes a replay that begins at this time (for items with times)."
+    ],
     keep_open: @keep_open
   ]
   @timer [
     every: [
       type: :pos_integer,
       required: true,
-      doc: "ns of the clock from one message to the next."
+      doc: "Interval between messages, in ns of the clock."
     ],
-    fun: [type: {:fun, 2}, doc: "Makes the data: `fun.(now, elapsed)`."]
+    fun: [type: {:fun, 2}, doc: "Builds the data: `fun.(now, elapsed)`."]
   ]
   @events [
     unsubscribe: [
       type: {:fun, 1},
-      doc: "Called at the end, with the value that `subscribe` returned."
+      doc: "Called at the end with the value returned by `subscribe`."
     ]
   ]
 
   @moduledoc """
-  Sources made of functions, values, enumerables, timers and events. All are on `Situ` too: `Situ.from_enumerable/3` ...
+  Sources from functions, values, enumerables, timers and events. All functions are also available on `Situ`:
+  `Situ.from_enumerable/3` ...
 
       Situ.from_enumerable(p, 0..9, every: Situ.Time.ms(100))      # 0, 1 ... 9, a tenth of a second apart
-      Situ.sequence(p, 1, &(&1 * 2), every: Situ.Time.ms(100))     # 1, 2, 4 ... without end
+      Situ.sequence(p, 1, &(&1 * 2), every: Situ.Time.ms(100))     # 1, 2, 4 ... endlessly
       Situ.from_enumerable(p, File.stream!("level.csv"), every: Situ.Time.ms(20))
       Situ.from_enumerable(p, [{10, :a}, {25, :b}])                # with times
 
@@ -45,22 +49,22 @@ defmodule Situ.Generator do
       iex> Situ.to_list(fn p -> Situ.repeat(p, :tick, every: 30, align: 10) end, times: true, pipeline: replay)
       [{10, :tick}, {40, :tick}, {70, :tick}, {100, :tick}]
 
-  Times are exact: the pipeline's start, start + `every:` ..., however long it takes to make them. With `align:
-  time` they are the times congruent to it modulo `every:`, from the first one at or after the start. Items are made
-  as they are asked for, in real time when their time comes, and up to the replay's end.
+  Times are exact, however long it takes to produce the items: the pipeline's start, start + `every:`, and so on. With
+  `align: time`, they are congruent to that time modulo `every:`, beginning at or after the start. Items are produced on
+  demand up to the replay's end; in real time, each item is produced when its time comes.
 
   | generator | ends | reproducible |
   |---|---|---|
   | `sequence/4` and `repeat/3` with `count:`, `from_enumerable/3` | with the last item | yes |
-  | the same with `keep_open: true`, `once/3` | never: they give what they have and stay open | yes |
+  | the same with `keep_open: true`, `once/3` | never: they emit their items and stay open | yes |
   | `sequence/4` and `repeat/3` without `count:` | never | yes |
-  | `timer/2`, `event_source/3` | never | no: times are the clock's |
-  | `return/3` | after its one item | yes |
+  | `timer/2`, `event_source/3` | never | no: times come from the clock |
+  | `return/3` | after its single item | yes |
 
-  A source that never ends does not keep a pipeline running once the finite ones have ended; a replay's end ends all
-  of them.
+  A source that never ends does not keep a pipeline running after the finite sources have ended. The end of a replay
+  ends all sources.
 
-  Besides the options named with each function, all take those of `Situ.Graph.Placement` for generators.
+  In addition to the options of each function, all functions take the options of `Situ.Graph.Placement` for generators.
   """
 
   alias Situ.Graph.Placement
@@ -68,7 +72,7 @@ defmodule Situ.Generator do
   alias Situ.Generator.{Events, Feed, Source, Timer}
 
   @doc """
-  `initial`, `next.(initial)`, and so on.
+  Emits `initial`, `next.(initial)`, and so on.
 
   #{Situ.Options.docs(@paced)}
   """
@@ -82,7 +86,7 @@ defmodule Situ.Generator do
       Argument.refuse!(other, :handle, "Situ.sequence(p, 0, &(&1 + 1), every: Situ.Time.ms(20))")
 
   @doc """
-  The same value again and again.
+  Emits the same value repeatedly.
 
   #{Situ.Options.docs(@paced)}
   """
@@ -92,7 +96,7 @@ defmodule Situ.Generator do
   def repeat(other, _arg2, _arg3),
     do: Argument.refuse!(other, :handle, "Situ.repeat(p, 1, every: Situ.Time.ms(20))")
 
-  @doc "One value at the pipeline's start, and that was all."
+  @doc "Emits one value at the pipeline's start and ends."
   @spec return(Pipeline.t(), term(), keyword()) :: Stream.t()
   def return(p, value, opts \\ [])
 
@@ -101,7 +105,7 @@ defmodule Situ.Generator do
 
   def return(other, _arg2, _arg3), do: Argument.refuse!(other, :handle, "Situ.return(p, 1)")
 
-  @doc "One value at the pipeline's start; the stream stays open."
+  @doc "Emits one value at the pipeline's start; the stream stays open."
   @spec once(Pipeline.t(), term(), keyword()) :: Stream.t()
   def once(p, value, opts \\ [])
 
@@ -110,10 +114,11 @@ defmodule Situ.Generator do
   def once(other, _arg2, _arg3), do: Argument.refuse!(other, :handle, "Situ.once(p, 1)")
 
   @doc """
-  The items of any enumerable: with `every:` (and `align:`) values that far apart, else `{time, value}` pairs or
-  messages, whose times must strictly increase. Read lazily, so endless and costly enumerables are fine.
+  Emits the items of any enumerable. With `every:` (and `align:`) the items are values at that interval. Otherwise they
+  are `{time, value}` pairs or messages, whose times must strictly increase. The enumerable is read lazily, so it may be
+  infinite or expensive.
 
-  Items before the replay's start, asked for or proposed, are passed over.
+  Items before the requested or proposed start of the replay are skipped.
 
   #{Situ.Options.docs(@enumerable)}
   """
@@ -143,10 +148,10 @@ defmodule Situ.Generator do
     do: Argument.refuse!(other, :handle, "Situ.from_enumerable(p, 1..9, every: Situ.Time.ms(20))")
 
   @doc """
-  A message whenever `every:` ns of the clock have passed, stamped with the clock; its data is the time since the
-  start (ns), or that of `fun:`. Ticks that were missed are not made up for.
+  Emits a message every `every:` ns of the clock, with the clock's time. Its data is the time since the start (ns), or
+  the result of `fun:`. Missed ticks are not emitted later.
 
-  Reproducible: no. `repeat/3` gives exact times, whatever the clock does.
+  Reproducible: no. `repeat/3` has exact times, independent of the clock.
 
   #{Situ.Options.docs(@timer)}
   """
@@ -161,11 +166,11 @@ defmodule Situ.Generator do
     do: Argument.refuse!(other, :handle, "Situ.timer(p, every: Situ.Time.ms(20))")
 
   @doc """
-  Data that other processes post. When the pipeline starts `subscribe.(post)` is called; any process may then call
-  `post.(data)`, which makes a message, stamped with the clock. Two messages of the same time are set 1 ns apart
-  unless `on_same_time:` says otherwise.
+  Emits data that other processes post. When the pipeline starts, `subscribe.(post)` is called. Any process may then
+  call `post.(data)`, which emits a message with the clock's time. Messages with the same time are separated by 1 ns
+  unless `on_same_time:` is set.
 
-  Reproducible: no, the times are those of posting. Record the stream to replay it.
+  Reproducible: no, since times depend on when data is posted. Record the stream to replay it.
 
   #{Situ.Options.docs(@events)}
   """
@@ -204,7 +209,7 @@ defmodule Situ.Generator do
     p |> Pipeline.add(module, own ++ placed) |> Situ.Node.output(:out)
   end
 
-  # No more is known of what is read lazily.
+  # The number of items of a lazy enumerable is unknown.
   defp at_most(list) when is_list(list) and length(list) < 2, do: length(list)
   defp at_most(%Range{} = range), do: min(Range.size(range), 2)
   defp at_most(_enumerable), do: :infinity
@@ -214,11 +219,12 @@ defmodule Situ.Generator do
 
   defp check_every!(every, _count) when every > 0, do: :ok
 
-  # Times must increase, which one message always does.
+  # Times must increase, which is always true of a single message.
   defp check_every!(_every, count) when count in [0, 1], do: :ok
 
   defp check_every!(every, _count) do
     raise ArgumentError,
-          "messages are 1 ns or more apart: every: is a whole number above 0, got: #{inspect(every)}"
+          "every: must be an integer of at least 1 (ns), since messages are at least 1 ns apart, " <>
+            "got: #{inspect(every)}"
   end
 end

@@ -1,8 +1,8 @@
 defmodule Situ.Indexer do
   @moduledoc """
-  Which elements of an n-dimensional array, stored in row-major order, a view of it names: slices, strides, single
-  indices, lists of them, and slices of slices. The array itself is wherever you have it; an indexer answers flat
-  indices, and runs of neighbours to copy at once.
+  Computes which elements of an n-dimensional array, stored in row-major order, belong to a view of it. Views select
+  slices, strides, single indices, lists of indices, and slices of slices. The array can be stored anywhere. An indexer
+  returns flat indices, and ranges of adjacent elements that can be copied in one operation.
 
       iex> Situ.Indexer.indices([10, 10], [{0, 1}, :all]) |> Enum.count()
       20
@@ -14,15 +14,15 @@ defmodule Situ.Indexer do
       iex> {Situ.Indexer.shape(view), Situ.Indexer.indices(view)}
       {[3, 2], [10, 8, 16, 14, 22, 20]}
 
-  A range is `{first, last}`, both included; it may decrease. Of a dimension a slice is `:all`, an index, a range, a
-  range with a step (`{first, last, step}`), or `{:take, indices}`; indices count from the first value of the view
-  that is sliced.
+  A range is `{first, last}`, both included; it may decrease. A slice of a dimension is `:all`, an index, a range, a
+  range with a step (`{first, last, step}`), or `{:take, indices}`. Indices are relative to the first value of the
+  sliced view.
   """
 
   @enforce_keys [:shape, :values]
   defstruct [:shape, :values]
 
-  @typedoc "Of an array of this `shape`: the indices per dimension that the view has, in its order."
+  @typedoc "A view of an array of this `shape`: the selected indices per dimension, in the view's order."
   @type t :: %__MODULE__{shape: [pos_integer()], values: [[non_neg_integer()]]}
   @type range :: {first :: integer(), last :: integer()}
   @type slice ::
@@ -32,12 +32,12 @@ defmodule Situ.Indexer do
           | {first :: integer(), last :: integer(), step :: pos_integer()}
           | {:take, [integer()]}
 
-  @doc "The whole of an array of this shape."
+  @doc "Builds a view of a complete array of this shape."
   @spec new([pos_integer()]) :: t()
   def new(shape),
     do: %__MODULE__{shape: shape, values: Enum.map(shape, &Enum.to_list(0..(&1 - 1)//1))}
 
-  @doc "A view of a view: one slice per dimension."
+  @doc "Slices a view, with one slice per dimension."
   @spec slice(t(), [slice()]) :: t()
   def slice(%__MODULE__{} = view, slices) do
     if length(slices) != length(view.shape) do
@@ -47,12 +47,12 @@ defmodule Situ.Indexer do
     %{view | values: Enum.zip_with(view.values, slices, &picked/2)}
   end
 
-  @doc "How many indices of each dimension the view has."
+  @doc "Returns the number of selected indices per dimension."
   @spec shape(t()) :: [non_neg_integer()]
   def shape(%__MODULE__{values: values}), do: Enum.map(values, &length/1)
 
   @doc """
-  How far apart neighbours of each dimension lie in an array of this shape.
+  Returns the distance between neighbours of each dimension in an array of this shape.
 
       iex> Situ.Indexer.strides([4, 6, 2])
       [12, 2, 1]
@@ -63,7 +63,7 @@ defmodule Situ.Indexer do
     Enum.reverse(strides)
   end
 
-  @doc "The flat indices of a view, or of the slices of an array of this shape (default: everything)."
+  @doc "Returns the flat indices of a view, or of slices of an array of this shape (default: all)."
   @spec indices(t() | [pos_integer()], [slice()] | nil) :: [non_neg_integer()]
   def indices(shape_or_view, slices \\ nil)
 
@@ -77,12 +77,12 @@ defmodule Situ.Indexer do
   def indices(shape, nil), do: indices(new(shape))
   def indices(shape, slices), do: shape |> new() |> slice(slices) |> indices()
 
-  @doc "The flat indices as runs of neighbours, each `{first, last}`."
+  @doc "Returns the flat indices as ranges of adjacent elements, each `{first, last}`."
   @spec ranges(t() | [pos_integer()], [slice()] | nil) :: [range()]
   def ranges(shape_or_view, slices \\ nil), do: shape_or_view |> indices(slices) |> runs()
 
   @doc """
-  A list of indices as runs of neighbours.
+  Groups a list of indices into ranges of adjacent elements.
 
       iex> Situ.Indexer.runs([1, 2, 3, 7, 8])
       [{1, 3}, {7, 8}]
@@ -97,20 +97,20 @@ defmodule Situ.Indexer do
     |> Enum.reverse()
   end
 
-  @doc "How many values the range has."
+  @doc "Returns the number of values in a range."
   @spec size(range()) :: pos_integer()
   def size({first, last}), do: abs(last - first) + 1
 
-  @doc "Whether it does not decrease."
+  @doc "Returns whether a range does not decrease."
   @spec increasing?(range()) :: boolean()
   def increasing?({first, last}), do: last >= first
 
-  @doc "Whether it has one value."
+  @doc "Returns whether a range has a single value."
   @spec single_valued?(range()) :: boolean()
   def single_valued?({first, last}), do: first == last
 
   @doc """
-  The values of a range, or those of a slice of it (counted from its first value).
+  Returns the values of a range, or of a slice of it (relative to its first value).
 
       iex> Situ.Indexer.values({5, 10}, {1, 3})
       [6, 7, 8]

@@ -1,13 +1,14 @@
 defmodule Situ.Interpolator do
   @moduledoc """
-  Decides which value a stream has at a given time, out of its messages around that time.
+  Decides which value a stream has at a given time, from its messages around that time.
 
-  Ready-made ones are built by `Situ.Reproducible` and `Situ.Available`. Your own is a module with this behaviour:
+  `Situ.Reproducible` and `Situ.Available` build the standard interpolators. A custom one is a module with this
+  behaviour:
 
       defmodule Latest do
         @behaviour Situ.Interpolator
 
-        # The latest value at or before `time`, once something later has arrived to prove it.
+        # Returns the latest value at or before `time`, once a later message has arrived to prove it.
         @impl true
         def interpolate(time, messages, closed, _config) do
           {past, future} = Enum.split_while(messages, &(&1.originating_time <= time))
@@ -25,16 +26,16 @@ defmodule Situ.Interpolator do
   ## Results
 
     * `{:created, value, obsolete}`: the value;
-    * `{:does_not_exist, obsolete}`: there is none and never will be;
-    * `:insufficient_data`: ask again when more has arrived;
-    * `{:wait, time}`: the same, and only a message at or after `time` (or the end of the stream) can change it.
+    * `{:does_not_exist, obsolete}`: the value does not exist and never will;
+    * `:insufficient_data`: ask again when more messages have arrived;
+    * `{:wait, time}`: the same, but only a message at or after `time` (or the end of the stream) can change the result.
 
-  Messages strictly before `obsolete` are dropped, since later questions (which have later times) cannot need them;
-  `nil` keeps all. `messages` are the queued ones in time order, `closed` is the time at which the stream ended, or
+  Messages strictly before `obsolete` are dropped, since later queries (which have later times) cannot need them; `nil`
+  keeps all. `messages` are the queued messages in time order. `closed` is the time at which the stream ended, or
   `nil`.
 
-  An interpolator is **reproducible** when its answer does not depend on what had already arrived: it waits until no
-  later message can change the answer. Only such are accepted by `Situ.join/4`.
+  An interpolator is **reproducible** if its result does not depend on which messages had already arrived: it waits
+  until no later message can change the result. `Situ.join/4` accepts only reproducible interpolators.
   """
 
   alias Situ.{Interval, Message, Type}
@@ -63,10 +64,10 @@ defmodule Situ.Interpolator do
             ) :: result()
 
   @doc """
-  An interpolator from a module of this behaviour and its configuration.
+  Builds an interpolator from a module of this behaviour and its configuration.
 
-  Options: `reproducible:` (default false); `gives:` `:messages` when its values are data of the stream's messages
-  (then their type is the stream's), else `:values` (default); `or_default:` the value to give where none exists.
+  Options: `reproducible:` (default false); `gives:` `:messages` if its values are data of the stream's messages (and so
+  have the stream's type), otherwise `:values` (default); `or_default:` the value to use where none exists.
   """
   @spec new(module(), term(), keyword()) :: t()
   def new(module, config, opts \\ []) when is_atom(module) do
@@ -79,7 +80,7 @@ defmodule Situ.Interpolator do
     }
   end
 
-  @doc "The answer at `time`, with the default in place of a value that does not exist."
+  @doc "Returns the result at `time`, with the default in place of a value that does not exist."
   @spec interpolate(t(), Situ.Time.t(), [Message.t()], Situ.Time.t() | nil) :: result()
   def interpolate(%__MODULE__{} = interpolator, time, messages, closed) do
     case {interpolator.module.interpolate(time, messages, closed, interpolator.config),
@@ -90,7 +91,7 @@ defmodule Situ.Interpolator do
   end
 
   @doc """
-  The type of the values that it gives of a stream of this type. A default that is of another type widens it.
+  Returns the type of the values that it produces from a stream of this type. A default of a different type widens it.
 
       iex> Situ.Interpolator.type(Situ.Reproducible.nearest(or_default: nil), :integer)
       {:optional, :integer}
@@ -102,7 +103,7 @@ defmodule Situ.Interpolator do
 
   def type(%__MODULE__{}, _type), do: :any
 
-  @doc "The type with a default among its values: `:none`, or `{:value, default}`."
+  @doc "Returns the type with a default among its values: `:none`, or `{:value, default}`."
   @spec widened(Type.t(), :none | {:value, term()}) :: Type.t()
   def widened(type, :none), do: type
 
@@ -115,7 +116,7 @@ defmodule Situ.Interpolator do
   end
 
   @doc false
-  # The window argument of the constructors: an interval, a tolerance, or options in its place.
+  # Parses the window argument of the constructors: an interval, a tolerance, or options in its place.
   @spec window(Interval.t() | Situ.Time.duration() | keyword(), keyword(), Interval.t()) ::
           {Interval.t(), keyword()}
   def window(%Interval{} = window, opts, _default) do

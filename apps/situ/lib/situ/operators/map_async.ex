@@ -3,21 +3,21 @@ defmodule Situ.MapAsync do
     max: [
       type: :pos_integer,
       doc:
-        "How many messages are worked on, or wait for an older one, at most (default: one for each core)."
+        "Maximum number of messages in progress or waiting for an older one (default: one per core)."
     ],
     timeout: [
       type: {:or, [:pos_integer, {:in, [:infinity]}]},
       default: :infinity,
-      doc: "How long one message may take, in ms of real time; longer is an error."
+      doc: "Maximum time per message, in ms of real time; exceeding it is an error."
     ]
   ]
 
   @moduledoc """
-  A map whose function runs for several messages at once, each in a process of its own; the results come in the
-  messages' order.
+  A map whose function runs for several messages concurrently, each in its own process. Results are emitted in the order
+  of the messages.
 
-  For work that waits (a request to a server, a file) or that fills more than one core. Light work is faster in
-  `Situ.map/3`: a process for each message costs a few microseconds.
+  Use it for functions that wait (for a server or a file) or that use more than one core. Cheap functions are faster in
+  `Situ.map/3`, because a process per message costs a few microseconds.
 
       iex> square = fn v -> v * v end
       iex> build = fn p -> p |> Situ.from_enumerable(1..5, every: 10) |> Situ.map_async(square, max: 2) end
@@ -28,11 +28,12 @@ defmodule Situ.MapAsync do
   alias Situ.{Argument, Operator, Stream}
 
   @doc """
-  The data through `fun` (of data, or of data and message), for up to `max:` messages at once, in order.
+  Applies `fun` (of data, or of data and message) to up to `max:` messages concurrently, and emits the results in order.
 
-  When `max:` messages are under way the stream waits. A function that raises, exits or takes longer than `timeout:`
-  is an error at its message's time, which `on_error:` decides about: `:stop` emits what is older, `:skip` all but
-  that message, and `:restart` also gives up what was under way. Reproducible: yes, if `fun` is.
+  When `max:` messages are in progress, the stream waits. If the function raises, exits or exceeds `timeout:`, that is
+  an error at its message's time, which is handled as `on_error:` specifies: `:stop` emits the results of older
+  messages, `:skip` emits all other results, and `:restart` also discards the messages in progress. Reproducible: yes,
+  if `fun` is.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -59,8 +60,8 @@ end
 
 defmodule Situ.MapAsync.Component do
   @moduledoc false
-  # Jobs in the order of their messages. The oldest decides what can be emitted; a failed one is an error when it is
-  # the oldest.
+  # Jobs are in the order of their messages, and the oldest decides when results can be emitted. A failed job becomes an
+  # error when it is the oldest.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],
@@ -89,7 +90,7 @@ defmodule Situ.MapAsync.Component do
 
     {pid, ref} =
       spawn_monitor(fn ->
-        # Ends with the component, also when that is killed.
+        # The job ends with the component, even if the component is killed.
         watch(me, self())
         exit({:situ_result, run(fun, message)})
       end)
@@ -132,7 +133,7 @@ defmodule Situ.MapAsync.Component do
 
   def handle_info({:hold_ended, :in}, context, state), do: hold(state, [], context)
 
-  # The error is a message of its own: what is done about it takes back nothing else.
+  # The error is a separate message, so that handling it undoes nothing else.
   def handle_info({:situ_failed, error}, _context, _state), do: raise(error)
 
   def handle_info(:situ_failed_job_done, context, state),
@@ -140,7 +141,7 @@ defmodule Situ.MapAsync.Component do
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  # No message comes any more: what is under way is waited for.
+  # No more messages will arrive, so this waits for all jobs in progress.
   @impl true
   def handle_closed(:in, _time, context, state) do
     state = await(state)
@@ -163,7 +164,7 @@ defmodule Situ.MapAsync.Component do
     end
   end
 
-  # With `:stop` nothing comes behind an error; otherwise all the others do.
+  # With `:stop` nothing follows an error; otherwise all other results do.
   defp finish(actions, %{failing: true, opts: %{errors: errors}} = state, context)
        when errors != :stop do
     {more, state} = emit(%{state | failing: false}, [], context)
@@ -178,7 +179,7 @@ defmodule Situ.MapAsync.Component do
   defp note(state, ref, {:situ_result, result}), do: put_in(state.done[ref], result)
   defp note(state, ref, reason), do: put_in(state.done[ref], {:failed, :exit, reason, []})
 
-  # The oldest, as long as they are done.
+  # Emits finished results in order, oldest first.
   defp emit(%{failing: true} = state, actions, _context), do: {Enum.reverse(actions), state}
 
   defp emit(state, actions, context) do
@@ -204,7 +205,7 @@ defmodule Situ.MapAsync.Component do
     end
   end
 
-  # Full: nothing is taken, so that the stream waits.
+  # When all slots are in use, the input is held so that the stream waits.
   defp hold(%{count: count, opts: %{max: max}} = state, actions, _context) do
     action = if count >= max, do: {:hold, :in}, else: {:resume, :in}
     {Enum.reverse([action | actions]), state}
@@ -212,9 +213,9 @@ defmodule Situ.MapAsync.Component do
 
   defp failed(_kind, :killed, _stack, time, context, %{timeout: timeout})
        when timeout != :infinity do
-    Error.new(:timeout, "#{context.path} did not answer within #{timeout} ms",
-      why: "its function still ran, for the message at #{time} ns",
-      fix: "raise timeout:, or skip such messages with on_error: :skip",
+    Error.new(:timeout, "#{context.path} did not finish within #{timeout} ms",
+      why: "its function was still running for the message at #{time} ns",
+      fix: "increase timeout:, or skip such messages with on_error: :skip",
       meta: %{component: context.path, originating_time: time}
     )
   end

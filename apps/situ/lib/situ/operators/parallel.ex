@@ -1,9 +1,12 @@
 defmodule Situ.Parallel do
   @schema [
-    size: [type: :pos_integer, doc: "Fixed form."],
-    of: [type: {:in, [:lists, :maps]}, doc: "The form, where neither type nor function tell."],
-    split: [type: {:fun, 1}, doc: "Makes the list or map of a message."],
-    with: [type: {:fun, 1}, doc: "Makes the output of the list or map of results."],
+    size: [type: :pos_integer, doc: "Number of branches, for the fixed form."],
+    of: [
+      type: {:in, [:lists, :maps]},
+      doc: "The form, if neither the type nor the function determines it."
+    ],
+    split: [type: {:fun, 1}, doc: "Builds the list or map of parts from a message's data."],
+    with: [type: {:fun, 1}, doc: "Builds the output from the list or map of results."],
     or_default: [type: :any, doc: "See above."],
     until: [
       type:
@@ -15,93 +18,93 @@ defmodule Situ.Parallel do
     only_present: [
       type: :boolean,
       default: false,
-      doc: "Maps: output only keys of the message, not all that are alive."
+      doc: "For maps: outputs only the keys in the message, not all live keys."
     ],
     on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop, doc: "See above."],
     branches: [type: {:in, [:values, :processes]}, default: :values, doc: "See above."],
     branch_policy: [
       type: {:struct, Situ.Delivery},
       doc:
-        "Of branches in processes: the delivery policy of the connections inside of them, which have none of their own."
+        "For branches in processes: the delivery policy of their inner connections that do not set one."
     ]
   ]
 
   @moduledoc """
-  The parts of each message through branches of their own, and the results back together.
+  Sends the parts of each message through separate branches, and recombines the results.
 
       # Lists of a fixed or varying length: one branch per position.
       Situ.parallel(channels, fn channel -> Situ.average(channel, over: {:last, 10}) end)
 
-      # Maps: one branch per key, for as long as the key is there.
+      # Maps: one branch per key, as long as the key is present.
       Situ.parallel(faces, fn id, face -> face |> Situ.map(& &1.mouth) |> Situ.delta() end)
 
       iex> inputs = [counts: [{0, %{ann: 1, bob: 5}}, {10, %{ann: 3}}]]
       iex> Situ.Test.run(inputs, fn s -> Situ.parallel(s.counts, fn _key, branch -> Situ.sum(branch) end) end)
       {:ok, [{0, %{ann: 1, bob: 5}}, {10, %{ann: 4}}]}
 
-  The function builds a branch: a piece of pipeline, from a stream (or a key and a stream) to a stream. Each branch
-  has its own state. Results come out at the message's time, as a list or a map like the input. Results of a branch
-  at other times are dropped; when the function returns no stream, nothing comes out.
+  The function builds a branch, which is a part of a pipeline from a stream (or a key and a stream) to a stream. Each
+  branch has its own state. Results are emitted at the message's time, as a list or a map like the input. Results of a
+  branch at other times are dropped. If the function does not return a stream, the operator has no output.
 
-  | form | `stream` carries | branches | output |
+  | form | input | branches | output |
   |---|---|---|---|
-  | fixed, `size: n` | lists of n elements (another length is an error) | n | a list of n |
-  | variable | lists | one per position, started by the first list that reaches it | a list as long as the input's |
-  | sparse | maps, or what `split:` makes one of | one per key, started by its first message | a map of the live keys |
+  | fixed, `size: n` | lists of n elements (other lengths are errors) | n | a list of n |
+  | variable | lists | one per position, started by the first list that long | a list as long as the input's |
+  | sparse | maps, or data with `split:` | one per key, started by its first message | a map of the live keys |
 
-  When a branch has nothing at a time the whole output is dropped, or with `or_default: value` the value takes its
-  place; a key that is kept alive without being in the message is such a case.
+  If a branch has no result at a time, the complete output is dropped. With `or_default: value`, the value is used
+  instead. One such case is a key that is kept alive without being in the message.
 
   ## When a key's branch ends
 
-  | `until:` | ends | at the time of |
+  | `until:` | the branch ends | at the time of |
   |---|---|---|
   | `:absent` (default) | with the first message without the key | the last message with it |
-  | `{:absent, n}` | with the message after `n` in a row without it | the last message it was alive in |
+  | `{:absent, n}` | with the message after `n` in a row without it | the last message at which it was alive |
   | `:never` | with the stream | |
-  | `fun.(key, map, time)` | when it answers `{:close, time}` and not `:keep`, asked with every message | what it says |
+  | `fun.(key, map, time)` | when it returns `{:close, time}` (called with every message; else `:keep`) | `time` |
 
-  Results that a branch gives while it ends (`Situ.last/2` ...) still count. Its state is released; the same key later
-  begins a new branch.
+  Results that a branch emits while it ends (`Situ.last/2` ...) still count. Its state is released, and the same key
+  later starts a new branch.
 
   ## Values or processes
 
-  By default a branch is a value inside the operator's process (see `Situ.Branch`): a hundred thousand of them are
-  no burden, but they share one core, and hold nothing that has a clock or a process of its own. With `branches:
-  :processes` each is a pipeline of its own, started at the time of its first part, with any component inside:
-  sources, timers, delays, what is slow or talks to the world. Outputs, their times and their order are the same,
-  wherever the branch itself is reproducible. Tens to thousands of such branches, not a hundred thousand.
+  By default a branch is a value inside the operator's process (see `Situ.Branch`). A hundred thousand of them are no
+  problem, but they share one core, and may not contain components with a clock or a process. With `branches:
+  :processes`, each branch is a separate pipeline, started at the time of its first part. It may contain any component,
+  such as sources, timers, delays, and components that are slow or do I/O. Outputs, their times and their order are the
+  same, as long as the branch itself is reproducible. Use this for tens to thousands of branches.
 
       Situ.parallel(faces, fn _id, face -> Recognizer.who(face) end, branches: :processes)
 
-  A time's output waits until each branch has given something for it, or something later, or has ended; a branch
-  that is a straight run of light operators is known to give nothing as soon as it has handled the part. When
-  some 256 outputs wait the input does, too, as long as a branch is at work. The operator is one box in the
-  diagnostics, which tells how many branches live.
+  The output of a time waits until each branch has emitted a result for it or for a later time, or has ended. A branch
+  that is a linear chain of light operators is known to have no result as soon as it has handled the part. When about
+  256 outputs are waiting, the input waits too, as long as a branch is working. The operator is one box in the
+  diagnostics, which shows the number of live branches.
 
   ## When a branch fails
 
-  It fails the operator as any other, named as `Parallel[key].Step`, and `on_error:` decides; a branch that is
-  killed is such a failure. With `on_branch_error: :restart` that branch alone is restarted with its next part, and
-  messages on their way through it count as missing.
+  A branch that fails, or is killed, fails the operator like any other error, with a name such as `Parallel[key].Step`,
+  and `on_error:` decides. With `on_branch_error: :restart`, only that branch is restarted with its next part, and
+  messages in flight in it count as missing.
 
   ## Options
 
   #{Situ.Options.docs(@schema)}
 
-  and those of every operator (`Situ.Graph.Placement`).
+  All options of every operator also apply (`Situ.Graph.Placement`).
   """
 
   alias Situ.Parallel.{Values, Processes, Termination}
   alias Situ.Graph.Placement
   alias Situ.{Argument, Operator, Stream}
 
-  @no_queues "branch_policy: needs branches: :processes (a branch that is a value has no queues)"
+  @no_queues "branch_policy: needs branches: :processes (branches that run as values have no queues)"
 
   @doc """
-  Branches by `fun`: see the forms above. Which form it is follows from the stream's type, `size:`, and the
-  function: with a key as first argument it is sparse unless the type is a list. `of: :lists` or `of: :maps` says it
-  where that is not enough.
+  Builds a branch for each part with `fun`, in the forms above. The form follows from the stream's type, `size:`, and
+  the function. A function with a key as its first argument means sparse, unless the type is a list. `of: :lists` or
+  `of: :maps` sets the form explicitly.
   """
   @spec parallel(Stream.t(), (Stream.t() -> term()) | (term(), Stream.t() -> term()), keyword()) ::
           Stream.t()

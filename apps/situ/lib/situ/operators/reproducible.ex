@@ -1,18 +1,18 @@
 defmodule Situ.Reproducible do
   @moduledoc """
-  Interpolators that give the same values whatever the timing: they wait until no later message can change the answer.
+  Interpolators whose values do not depend on timing: they wait until no later message can change the result.
 
-  A window is a `Situ.Interval` of ns relative to the asked time, or a tolerance: `5` means `[-5, 5]`. Every
-  function takes `or_default: value`, the value to give where there is none.
+  A window is a `Situ.Interval` of ns relative to the requested time, or a tolerance: `5` means `[-5, 5]`. Every
+  function takes `or_default: value`, the value to use where none exists.
 
   | interpolator | value | decided when the stream has |
   |---|---|---|
-  | `exact/1` | the message at the very time | reached the time |
-  | `nearest/2` | the nearest in the window; of two equally near the later | reached the time, or the window's end where that is needed |
+  | `exact/1` | the message at exactly that time | reached the time |
+  | `nearest/2` | the nearest in the window (the later if equal) | reached the time, or the window's end if needed |
   | `first/2` | the first in the window | a message in the window or past it |
   | `last/2` | the last in the window | reached the window's end |
-  | `linear/1` | the straight line between the neighbours (numbers) | reached the time |
-  | `adjacent/2` | your function of the neighbours | reached the time |
+  | `linear/1` | the linear interpolation between the neighbours (numbers) | reached the time |
+  | `adjacent/2` | a function of the neighbours | reached the time |
 
   The end of the stream decides everything. `last(Situ.Interval.past())` is the latest value so far, reproducibly.
 
@@ -28,18 +28,21 @@ defmodule Situ.Reproducible do
 
   @type window :: Interval.t() | Situ.Time.duration()
 
-  @doc "The message with exactly the asked time."
+  @doc "Selects the message with exactly the requested time."
   @spec exact(keyword()) :: Interpolator.t()
   def exact(opts \\ []), do: nearest(Interval.zero(), opts)
 
-  @doc "The nearest message in the window (default: the nearest of all)."
+  @doc "Selects the nearest message in the window (default: any distance)."
   @spec nearest(window() | keyword(), keyword()) :: Interpolator.t()
   def nearest(window \\ Interval.infinite(), opts \\ []) do
     {window, opts} = Interpolator.window(window, opts, Interval.infinite())
     Interpolator.new(Nearest, {window, true}, [reproducible: true, gives: :messages] ++ opts)
   end
 
-  @doc "The first message in the window (default: from the asked time on). The window's left end must be bounded."
+  @doc """
+  Selects the first message in the window (default: at or after the requested time). The window's left end must be
+  bounded.
+  """
   @spec first(window() | keyword(), keyword()) :: Interpolator.t()
   def first(window \\ Interval.future(), opts \\ []) do
     {window, opts} = Interpolator.window(window, opts, Interval.future())
@@ -47,7 +50,7 @@ defmodule Situ.Reproducible do
     Interpolator.new(First, {window, true}, [reproducible: true, gives: :messages] ++ opts)
   end
 
-  @doc "The last message in the window (default: up to the asked time)."
+  @doc "Selects the last message in the window (default: at or before the requested time)."
   @spec last(window() | keyword(), keyword()) :: Interpolator.t()
   def last(window \\ Interval.past(), opts \\ []) do
     {window, opts} = Interpolator.window(window, opts, Interval.past())
@@ -55,17 +58,21 @@ defmodule Situ.Reproducible do
   end
 
   @doc """
-  Linear interpolation between the messages before and after; none before the first or after the last.
+  Interpolates linearly between the messages before and after. There is no value before the first message or after the
+  last one.
 
-  Numbers as in `Situ.Number`: with `:nan` on either side the result is `:nan`, with `nil` on either side there is
-  none, and any other value is an error.
+  Numbers are as in `Situ.Number`: with `:nan` on either side the result is `:nan`, with `nil` on either side there is
+  no value, and any other value is an error.
 
-  `max_span:` gives no value between neighbours that are this far apart (ns) or farther.
+  `max_span:` allows no value between neighbours that are this far apart (ns) or farther.
   """
   @spec linear(keyword()) :: Interpolator.t()
   def linear(opts \\ []), do: adjacent(&Situ.Number.between/3, opts)
 
-  @doc "`fun.(before, after, ratio)` of the neighbours, where ratio is 0.0 at the one before and 1.0 at the one after."
+  @doc """
+  Computes the value with `fun.(before, after, ratio)` from the neighbours. The ratio is 0.0 at the earlier neighbour
+  and 1.0 at the later one.
+  """
   @spec adjacent((term(), term(), float() -> term()), keyword()) :: Interpolator.t()
   def adjacent(fun, opts \\ []) when is_function(fun, 3) do
     opts = Situ.Options.validate!(opts, or_default: [type: :any], max_span: [type: :pos_integer])
@@ -76,9 +83,9 @@ defmodule Situ.Reproducible do
   @doc false
   @spec left_bounded!(Interval.t()) :: :ok
   def left_bounded!(%Interval{left: :unbounded} = window) do
-    raise Situ.Error.new(:not_supported, "no first message in the window #{window}",
+    raise Situ.Error.new(:not_supported, "the window #{window} has no left end",
             why: "a window without a left end has no first message",
-            fix: "give it a bounded left end, as [-1000000,0]"
+            fix: "use a window with a bounded left end, such as [-1000000,0]"
           )
   end
 

@@ -1,10 +1,10 @@
 defmodule Situ.Sampling do
   @moduledoc """
-  The pure heart of sampling at a fixed interval: the value of a stream at every tick, by an interpolator.
+  The pure core of sampling at a fixed interval: computes the value of a stream at every tick, with an interpolator.
 
-  Ticks are exact: the start, start + interval, ... or, with an alignment, the times congruent to it modulo the
-  interval. They are made as the source advances and end with it, so nothing runs ahead of the data. A tick without
-  a value gives no output.
+  Ticks are exact: the start, start + interval, and so on. With an alignment, they are the times congruent to it modulo
+  the interval. Ticks are produced as the source advances, and end with it, so they never run ahead of the data. A tick
+  without a value has no output.
 
       iex> sampling = Situ.Sampling.new(Situ.Reproducible.nearest(), 30, 0)
       iex> messages = for t <- [0, 20, 40], do: %Situ.Message{originating_time: t, data: t}
@@ -12,8 +12,8 @@ defmodule Situ.Sampling do
       iex> outputs
       [{:out, 0, 0}, {:out, 30, 40}]
 
-  A long gap in the source has many ticks. At most some hundred are made at a time; as long as `more?/1` is true,
-  `more/1` makes the next ones, so that memory does not depend on the gap.
+  A long gap in the source contains many ticks. At most a few hundred are produced at a time. As long as `more?/1` is
+  true, `more/1` produces the next ones, so memory does not depend on the gap.
 
       iex> sampling = Situ.Sampling.new(Situ.Reproducible.linear(), 1, 0)
       iex> messages = for t <- [0, 1_000_000_000], do: %Situ.Message{originating_time: t, data: t}
@@ -41,7 +41,7 @@ defmodule Situ.Sampling do
           more?: boolean()
         }
 
-  @doc "Ticks from `start` (or the first aligned time at or after it)."
+  @doc "Builds a sampling with ticks from `start`, or from the first aligned time at or after it."
   @spec new(Interpolator.t(), Situ.Time.duration(), Situ.Time.t(), Situ.Time.t() | nil) :: t()
   def new(%Interpolator{} = interpolator, interval, start, align \\ nil)
       when is_integer(interval) and interval > 0 do
@@ -53,7 +53,8 @@ defmodule Situ.Sampling do
   end
 
   @doc """
-  The first time at or after `start` that is congruent to `align` modulo `interval`; `start` without an alignment.
+  Returns the first time at or after `start` that is congruent to `align` modulo `interval`. Returns `start` if there is
+  no alignment.
 
       iex> Situ.Sampling.first_tick(7, 10, 0)
       10
@@ -64,7 +65,7 @@ defmodule Situ.Sampling do
   def first_tick(start, _interval, nil), do: start
   def first_tick(start, interval, align), do: start + Integer.mod(align - start, interval)
 
-  @doc "Messages of the source arrived."
+  @doc "Adds messages of the source and returns the first of the outputs they cause."
   @spec push(t(), [Message.t()]) :: {[Component.action()], t()}
   def push(sampling, []), do: {[], sampling}
 
@@ -73,16 +74,16 @@ defmodule Situ.Sampling do
     more(%{sampling | queue: MessageQueue.push(sampling.queue, messages), until: until})
   end
 
-  @doc "The source ended at `time`: ticks up to and including it are decided."
+  @doc "Marks the source as ended at `time`. Ticks up to and including that time are then decided."
   @spec close(t(), Situ.Time.t()) :: {[Component.action()], t()}
   def close(sampling, time),
     do: more(%{sampling | queue: MessageQueue.whole(sampling.queue), until: time, closed: time})
 
-  @doc "Whether there are ticks that can be decided now."
+  @doc "Returns whether there are ticks that can be decided now."
   @spec more?(t()) :: boolean()
   def more?(sampling), do: sampling.more?
 
-  @doc "The next ticks of those that can be decided."
+  @doc "Returns the outputs of the next ticks that can be decided."
   @spec more(t()) :: {[Component.action()], t()}
   def more(sampling), do: run(sampling, @slice, [])
 

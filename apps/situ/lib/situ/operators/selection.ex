@@ -2,45 +2,49 @@ defmodule Situ.Selection do
   @process [
     on_close: [
       type: {:fun, 2},
-      doc: "`fun.(closing_time, state)`: a last list of `{time, data}` at the stream's end."
+      doc:
+        "Returns a last list of `{time, data}` at the stream's end: `fun.(closing_time, state)`."
     ]
   ]
   @reorder [
-    time: [type: {:fun, 1}, doc: "The time of a message, ns; by default its originating time."],
+    time: [
+      type: {:fun, 1},
+      doc: "Returns the time of a message, ns; by default its originating time."
+    ],
     late: [
       type: {:in, [:drop, :error]},
       default: :drop,
-      doc: "A message later than that is dropped, or is an error."
+      doc: "Whether a message beyond the allowed lateness is dropped or is an error."
     ]
   ]
 
   @moduledoc """
-  Operators that pick, move, edit and re-time messages. All are on `Situ` too: `Situ.first/2` ...
+  Operators that select, move, edit and re-time messages. All functions are also available on `Situ`: `Situ.first/2` ...
 
-  | operator | gives | output's time |
+  | operator | emits | output time |
   |---|---|---|
-  | `first/3` (`take/3`) | the first n messages, then silence | input's |
+  | `first/3` (`take/3`) | the first n messages, then nothing | the input's |
   | `last/3` | the last n messages, when the stream ends | their own |
-  | `map_present/3` | `fun` of the data, and `nil` for `nil` | input's |
-  | `time_of/2` | the originating time as data | input's |
-  | `latency/2` | creation time minus originating time as data | input's |
-  | `delay/3` | each message some time after its creation | input's |
-  | `process/4` | what `fun` answers: any number of messages | as `fun` says |
-  | `edit/3` | the stream with messages replaced, inserted and deleted | input's or the edit's |
-  | `reorder/3` | messages brought into order, up to a lateness | as `fun` says |
+  | `map_present/3` | `fun` of the data, and `nil` for `nil` | the input's |
+  | `time_of/2` | the originating time as data | the input's |
+  | `latency/2` | creation time minus originating time as data | the input's |
+  | `delay/3` | each message some time after its creation | the input's |
+  | `process/4` | any number of messages, returned by `fun` | as returned by `fun` |
+  | `edit/3` | the stream with messages replaced, inserted and deleted | the input's or the edit's |
+  | `reorder/3` | messages in order, up to a lateness | as returned by `time:` |
 
       iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(1..9, every: 10) |> Situ.last(2) end)
       [8, 9]
 
-  All but `latency/2`, which shows timing, are reproducible.
-  They take the options of every operator (`Situ.Graph.Placement`).
+  All except `latency/2`, which shows timing, are reproducible.
+  All take the options of every operator (`Situ.Graph.Placement`).
   """
 
   alias Situ.Graph.Placement
   alias Situ.{Argument, Generator, Operator, Stream}
   alias Situ.Selection.{Delay, Edit, Last, Process, Reorder}
 
-  @doc "The first `n` messages; the stream stays open and silent after them."
+  @doc "Emits the first `n` messages. The stream then stays open without further messages."
   @spec first(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
   def first(stream, n \\ 1, opts \\ [])
 
@@ -57,12 +61,12 @@ defmodule Situ.Selection do
 
   def first(other, _arg2, _arg3), do: Argument.refuse!(other, :stream, "Situ.first(stream, 3)")
 
-  @doc "As `first/3`, under Elixir's name."
+  @doc "Works like `first/3`, under Elixir's name."
   @spec take(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
   def take(stream, n, opts \\ []),
     do: stream |> Argument.stream!("Situ.take(stream, 3)") |> first(n, opts)
 
-  @doc "The last `n` messages, with their times, when the stream ends."
+  @doc "Emits the last `n` messages, with their times, when the stream ends."
   @spec last(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
   def last(stream, n \\ 1, opts \\ [])
 
@@ -73,7 +77,7 @@ defmodule Situ.Selection do
 
   def last(other, _arg2, _arg3), do: Argument.refuse!(other, :stream, "Situ.last(stream, 3)")
 
-  @doc "`fun` of the data, but `nil` stays `nil`."
+  @doc "Applies `fun` to the data, except that `nil` stays `nil`."
   @spec map_present(Stream.t(), (term() -> term()), keyword()) :: Stream.t()
   def map_present(stream, fun, opts \\ [])
 
@@ -84,7 +88,7 @@ defmodule Situ.Selection do
   def map_present(other, _arg2, _arg3),
     do: Argument.refuse!(other, :stream, "Situ.map_present(stream, fn data -> data end)")
 
-  @doc "The originating time of each message as its data, ns."
+  @doc "Emits the originating time of each message as its data, ns."
   @spec time_of(Stream.t(), keyword()) :: Stream.t()
   def time_of(stream, opts \\ [])
 
@@ -95,7 +99,10 @@ defmodule Situ.Selection do
 
   def time_of(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.time_of(stream)")
 
-  @doc "Creation time minus originating time of each message as its data, ns: how late it is here. Reproducible: no."
+  @doc """
+  Emits creation time minus originating time of each message as its data, ns, which is how late the message is here.
+  Reproducible: no.
+  """
   @spec latency(Stream.t(), keyword()) :: Stream.t()
   def latency(stream, opts \\ [])
 
@@ -107,11 +114,11 @@ defmodule Situ.Selection do
   def latency(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.latency(stream)")
 
   @doc """
-  Holds each message until its creation time plus `duration` (ns) on the pipeline's clock. Its times and data stay
-  as they are, and none is lost: when the stream ends, the messages that are still held come out at once. Without an
-  enforced clock (speed `:max`) there is no wait.
+  Holds each message until its creation time plus `duration` (ns) on the pipeline's clock. Its times and data are
+  unchanged, and no message is lost: when the stream ends, the held messages are emitted immediately. Without an
+  enforced clock (speed `:max`), messages are not held.
 
-  Reproducible: yes. The clock decides when a message comes out, not whether; operators that go by arrival
+  Reproducible: yes. The clock decides when a message is emitted, not whether it is. Operators that depend on arrival
   (`pair/3`, `merge/3`) see it later.
   """
   @spec delay(Stream.t(), Situ.Time.duration(), keyword()) :: Stream.t()
@@ -124,12 +131,12 @@ defmodule Situ.Selection do
     do: Argument.refuse!(other, :stream, "Situ.delay(stream, Situ.Time.ms(20))")
 
   @doc """
-  Any number of messages from each: `fun.(message, state)` answers `{[{time, data}], state}`. Times must strictly
-  increase.
+  Emits any number of messages for each input message: `fun.(message, state)` returns `{[{time, data}], state}`. Times
+  must strictly increase.
 
   #{Situ.Options.docs(@process)}
 
-      # Each word of a sentence as a message of its own, 1 ns apart.
+      # Emits each word of a sentence as a separate message, 1 ns apart.
       Situ.process(sentences, nil, fn message, state ->
         words = String.split(message.data)
         {Enum.with_index(words, fn word, i -> {message.originating_time + i, word} end), state}
@@ -159,8 +166,8 @@ defmodule Situ.Selection do
       )
 
   @doc """
-  The stream with edits: `{time, {:put, data}}` replaces the message at that time or inserts one, `{time, :delete}`
-  takes it out. Edits may come in any order; of two at one time the later in the list counts.
+  Applies edits to a stream: `{time, {:put, data}}` replaces the message at that time or inserts one, and `{time,
+  :delete}` removes it. Edits may be in any order; the last of several edits at one time applies.
   """
   @spec edit(Stream.t(), [{Situ.Time.t(), {:put, term()} | :delete}], keyword()) :: Stream.t()
   def edit(stream, edits, opts \\ [])
@@ -174,8 +181,8 @@ defmodule Situ.Selection do
     do: Argument.refuse!(other, :stream, "Situ.edit(stream, [{time, :delete}])")
 
   @doc """
-  Brings messages into order by a time of their own (a device's time stamp). Each waits until one has come whose
-  time is more than `lateness` ns later, or the stream ends. Of several at one time the first to come stays.
+  Orders messages by a separate time (such as a device's timestamp). Each message waits until a message more than
+  `lateness` ns later has arrived, or the stream ends. The first of several messages at one time is kept.
 
   #{Situ.Options.docs(@reorder)}
   """

@@ -1,7 +1,7 @@
 defmodule Situ.StateMachine do
   @moduledoc """
-  A finite state machine over a stream: which state it is in decides how it takes the next message. Written as
-  `:gen_statem`'s callbacks are, but pure, and by the time of the stream: so it is reproducible, timeouts included.
+  A finite state machine over a stream: its state decides how it handles the next message. The callbacks resemble those
+  of `:gen_statem`, but they are pure and use the stream's time. It is therefore reproducible, including timeouts.
 
       defmodule Door do
         @behaviour Situ.StateMachine
@@ -35,19 +35,19 @@ defmodule Situ.StateMachine do
   ## Events
 
     * `{:message, message}`: a `Situ.Message` arrived;
-    * `:state_timeout`: the machine has been in its state for the time that it asked for. It comes when the stream
-      shows that the time has passed: with the first message later than that, before it; its outputs have the
-      timeout's own time;
-    * `{:closed, time}`: the stream ended; a timeout due by then comes before.
+    * `:state_timeout`: the machine has been in its state for the requested time. The event occurs when the stream shows
+      that this time has passed: just before the first message that is later than the timeout. Its outputs have the time
+      of the timeout;
+    * `{:closed, time}`: the stream ended. A timeout due by then occurs first.
 
-  ## Answers
+  ## Results
 
-    * `{:keep_state, data}`, `{:keep_state, data, actions}`: the timeout, if there is one, stands;
-    * `{:next_state, state, data}`, `{:next_state, state, data, actions}`: a timeout asked for in the state before
-      is void.
+    * `{:keep_state, data}`, `{:keep_state, data, actions}`: a pending timeout stays in effect;
+    * `{:next_state, state, data}`, `{:next_state, state, data, actions}`: a timeout requested in the previous state is
+      cancelled.
 
-  Actions: `{:emit, value}` (one per event: times strictly increase), `{:state_timeout, ns}` from the event's time
-  on, `{:state_timeout, :infinity}` for none.
+  Actions: `{:emit, value}` (one per event, as times strictly increase), `{:state_timeout, ns}` from the event's time,
+  and `{:state_timeout, :infinity}` for no timeout.
 
   Reproducible: yes.
   """
@@ -71,13 +71,13 @@ defmodule Situ.StateMachine do
   @schema [
     init: [
       type: {:tuple, [:any, :any]},
-      doc: "First state and data of a machine that is a function."
+      doc: "Initial state and data, if the machine is a function."
     ],
     opts: [type: :keyword, default: [], doc: "Passed to a module's `init/1`."]
   ]
 
   @doc """
-  The values that the machine emits. Options: those of `Situ.Graph.Placement` and
+  Emits the values of the machine. It takes the options of `Situ.Graph.Placement` and
 
   #{Situ.Options.docs(@schema)}
   """
@@ -101,7 +101,7 @@ defmodule Situ.StateMachine do
   end
 
   defp start(other, _own) when not is_atom(other) do
-    takes = "a module, or a function of (message, state, data), as its second argument"
+    takes = "a module, or a function of (state, event, data), as its second argument"
     Argument.refuse!(other, takes, "Situ.state_machine(stream, machine)")
   end
 
@@ -110,7 +110,7 @@ defmodule Situ.StateMachine do
       do:
         raise(
           ArgumentError,
-          "#{inspect(module)} is no Situ.StateMachine: it has no handle_event/3"
+          "#{inspect(module)} is not a Situ.StateMachine: it has no handle_event/3"
         )
 
     [fun: &module.handle_event/3, init: fn -> module.init(own[:opts]) end]

@@ -1,6 +1,6 @@
 defmodule Situ.Statistics do
   @moduledoc """
-  Count, sum, least, greatest, average and standard deviation: of a list, or step by step.
+  Count, sum, minimum, maximum, average and standard deviation, of a list or step by step.
 
       iex> Situ.Statistics.of_list(:std, [1, 2, 3, 4])
       1.2909944487358056
@@ -8,20 +8,20 @@ defmodule Situ.Statistics do
       iex> results
       [5, 3, 3]
 
-  Values are numbers or `:nan`, `:infinity`, `:neg_infinity` (see `Situ.Number`; `:nan` is contagious), or `nil`: no
-  value. `nil` adds 0 to a sum and is left out of everything else but the count; when there is nothing but `nil` the
-  result is `nil` (a sum: 0). Integers stay integers in sums, least and greatest; averages and deviations are
+  Values are numbers or `:nan`, `:infinity`, `:neg_infinity` (see `Situ.Number`; `:nan` propagates), or `nil` (no
+  value). `nil` adds 0 to a sum, and is ignored by everything else except the count. If all values are `nil`, the
+  result is `nil` (for a sum: 0). Integers stay integers in sums, minimum and maximum; averages and deviations are
   floats. `:min` and `:max` take any terms of one kind.
 
-  The deviation is that of a sample (n - 1). A list of fewer than two numbers deviates by 0.0; step by step the
-  first number gives `:nan` (or `initial:`). The least, greatest or average of an empty list does not exist:
+  The deviation is the sample deviation (n - 1). A list of fewer than two numbers has a deviation of 0.0. Step by step,
+  the first number returns `:nan` (or `initial:`). The minimum, maximum or average of an empty list does not exist:
   `Situ.Error` `:empty_list`, or `nil` with `nullable: true`.
 
   ## Options
 
-    * `nullable:` (default false) - an empty list gives `nil` for `:min`, `:max` and `:average`;
+    * `nullable:` (default false) - returns `nil` for `:min`, `:max` and `:average` of an empty list;
     * `initial:` (default `:nan`) - the running deviation of one number;
-    * `compare:` - for `:min` and `:max`: `fun.(a, b)` is true when `a` comes before `b` or is equal to it.
+    * `compare:` - for `:min` and `:max`: `fun.(a, b)` is true if `a` orders before `b` or is equal to it.
   """
 
   alias Situ.Number
@@ -31,11 +31,11 @@ defmodule Situ.Statistics do
   @type kind :: :count | :sum | :min | :max | :average | :std
   @opaque state :: {kind(), term(), map()}
 
-  @doc "The kinds."
+  @doc "Returns the kinds of statistics."
   @spec kinds() :: [kind()]
   def kinds, do: @kinds
 
-  @doc "The statistic of a list."
+  @doc "Computes the statistic of a list."
   @spec of_list(kind(), list(), keyword()) :: term()
   def of_list(kind, list, opts \\ [])
   def of_list(:count, list, _opts), do: length(list)
@@ -46,9 +46,9 @@ defmodule Situ.Statistics do
     if opts[:nullable] do
       nil
     else
-      raise Situ.Error.new(:empty_list, "no #{kind} of an empty list",
+      raise Situ.Error.new(:empty_list, "an empty list has no #{kind}",
               why: "an empty list has no values",
-              fix: "give nullable: true to get nil, or filter empty lists out"
+              fix: "set nullable: true to get nil, or filter out empty lists"
             )
     end
   end
@@ -58,13 +58,13 @@ defmodule Situ.Statistics do
     List.last(results)
   end
 
-  @doc "The state before the first value."
+  @doc "Returns the state before the first value."
   @spec start(kind(), keyword()) :: state()
   def start(kind, opts \\ []) when kind in @kinds do
     {kind, zero(kind), Map.new(opts)}
   end
 
-  @doc "The statistic of all values up to and including `value`, and the next state."
+  @doc "Adds a value, and returns the statistic of all values so far and the next state."
   @spec step(state(), term()) :: {term(), state()}
   def step({:count, n, opts}, _value), do: {n + 1, {:count, n + 1, opts}}
 
@@ -92,7 +92,7 @@ defmodule Situ.Statistics do
   def step({:std, {n, _, _} = state, opts}, nil),
     do: {if(n > 0, do: running_deviation(state, opts)), {:std, state, opts}}
 
-  # Welford: no difference of large squares.
+  # Welford's algorithm avoids differences of large squares.
   def step({:std, {n, mean, squares}, opts}, value) do
     delta = Number.subtract(value, mean)
     mean = Number.add(mean, Number.divide(delta, n + 1))
@@ -135,7 +135,7 @@ defmodule Situ.Statistics do
   end
 
   @doc false
-  # The lesser, or greater, of two; of equal ones the first.
+  # Returns the lesser or greater of two values, or the first if they are equal.
   @spec better(:min | :max, term(), term(), map()) :: term()
   def better(:min, a, b, %{compare: fun}), do: if(fun.(a, b), do: a, else: b)
   def better(:max, a, b, %{compare: fun}), do: if(fun.(a, b), do: b, else: a)

@@ -3,41 +3,41 @@ defmodule Situ.Window do
     with: [
       type: {:in, [:data, :messages]},
       default: :data,
-      doc: "The function gets data, or whole messages."
+      doc: "Whether the function receives data or complete messages."
     ]
   ]
   @by [
     with: [
       type: {:fun, 2},
-      doc: "Makes the output: `fun.(window_message, messages)`; by default the list of data."
+      doc: "Builds the output: `fun.(window_message, messages)`; by default the list of data."
     ]
   ]
 
   @moduledoc """
   Windows over a stream: each message together with its neighbours.
 
-  | window | holds | partial windows |
+  | window | contains | partial windows |
   |---|---|---|
   | a range of indices, `-2..0` | this message and the two before it | no output |
-  | a `Situ.Interval` of ns | messages whose time lies in the interval around this one's | output, also at the stream's end |
-  | a stream of windows | the messages inside an interval that each window message names | output; empty ones too |
+  | a `Situ.Interval` of ns | messages whose time is in the interval around this one's | output, also at the end |
+  | a stream of windows | the messages in the interval returned for each window message | output; empty windows too |
 
-  The output is the list of data, at the originating time of the message that the window belongs to (its anchor). It
-  comes out as soon as the window is known to be complete. All are reproducible.
+  The output is the list of data, at the originating time of the message that the window belongs to (its anchor). It is
+  emitted as soon as the window is known to be complete. All windows are reproducible.
 
-      Situ.window(level, -9..0, &Enum.max/1)                                  # the greatest of the last ten
-      Situ.window(level, Situ.Interval.past(Situ.Time.s(1)), &Enum.max/1)     # the greatest of the last second
+      Situ.window(level, -9..0, &Enum.max/1)                                  # maximum of the last ten
+      Situ.window(level, Situ.Interval.past(Situ.Time.s(1)), &Enum.max/1)     # maximum of the last second
 
       iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(1..5, every: 10) |> Situ.window(-2..0) end)
       [[1, 2, 3], [2, 3, 4], [3, 4, 5]]
 
-  A window whose left end lies after its right end is put in order.
+  If the left end of a window is after its right end, the ends are swapped.
 
   ## Options
 
   #{Situ.Options.docs(@schema)}
 
-  and those of every operator (`Situ.Graph.Placement`).
+  All options of every operator also apply (`Situ.Graph.Placement`).
   """
 
   alias Situ.Graph.Placement
@@ -45,8 +45,8 @@ defmodule Situ.Window do
   alias Situ.Window.{Dynamic, Index, Component, Relative}
 
   @doc """
-  Windows of `stream` (see the table); `fun` makes the output of each from its list, which is the output when left
-  out.
+  Emits windows of `stream` (see the table). `fun` builds the output of each window from its list. Without `fun`, the
+  list is the output.
   """
   @spec window(Stream.t(), Range.t() | Interval.t(), (list() -> term()) | nil, keyword()) ::
           Stream.t()
@@ -66,9 +66,9 @@ defmodule Situ.Window do
       Argument.refuse!(other, :stream, "Situ.window(stream, -2..0, fn list -> length(list) end)")
 
   @doc """
-  A window per message of `windows`. `interval.(message)` gives `{interval, obsolete}`: which span of `stream` (a
-  `Situ.Interval` of time points), and the time before which no later window will need it. The output is at the
-  window message's time.
+  Emits a window per message of `windows`. `interval.(message)` returns `{interval, obsolete}`: the span of `stream` in
+  the window (a `Situ.Interval` of time points), and the time before which no later window will need the stream. The
+  output is at the window message's time.
 
   #{Situ.Options.docs(@by)}
   """
@@ -96,7 +96,7 @@ defmodule Situ.Window do
         "Situ.window_by(stream, windows, fn message -> {interval, time} end)"
       )
 
-  # Windows that end at their anchor are decided by it: light operators, chained with their neighbours.
+  # Windows that end at their anchor are complete when it arrives, so they run as light operators in a chain.
   defp place(stream, %Range{first: from, last: to}, {fun, with}, {type, placed})
        when (to == 0 and from <= 0) or (from == 0 and to <= 0) do
     step = Situ.Window.Past.by_count(1 - min(from, to), fun, with)
@@ -128,7 +128,7 @@ defmodule Situ.Window do
 
   defp check_whole!(%{left: left, right: right}) do
     for bound <- [left, right], is_float(bound) do
-      raise ArgumentError, "the ends of a window are whole ns, got: #{bound}"
+      raise ArgumentError, "the ends of a window must be whole ns, got: #{bound}"
     end
   end
 

@@ -1,11 +1,11 @@
 defmodule Situ.Pipeline.Checkpointing do
   @moduledoc false
-  # A checkpoint of a running pipeline: the memories of its stages (see `Situ.Stage.Memory`) at one moment at which no
-  # message is on its way.
-  #   freezing  the sources stand still and report their memories
+  # Takes a checkpoint of a running pipeline: the snapshots of its stages (see `Situ.Stage.Memory`) at one moment at
+  # which no messages are in flight.
+  #   freezing  the sources pause and report their snapshots
   #   settling  the other stages handle all posted messages; checked every millisecond
-  #   asking    every other stage reports its memory; if any message has moved meanwhile: settling again
-  #   held      the caller has all memories; the sources go on when it says so, or has died
+  #   asking    every other stage reports its snapshot; if any message has moved since, the checkpoint settles again
+  #   held      the caller has all snapshots; the sources continue when it says so, or when it has died
   alias Situ.Error
   alias Situ.Pipeline.{Stages, State}
 
@@ -24,10 +24,14 @@ defmodule Situ.Pipeline.Checkpointing do
 
   @type t :: %__MODULE__{}
 
-  @doc "Begins; the caller gets `{:ok, ref, memories}` or `{:error, error}`."
+  @doc "Begins a checkpoint; the caller receives `{:ok, ref, memories}` or `{:error, error}`."
   @spec ask(State.t(), pos_integer(), GenServer.from()) :: State.t()
   def ask(%{dynamic: %{checkpoint: %__MODULE__{}}} = state, _timeout, from) do
-    GenServer.reply(from, {:error, Error.new(:busy, "a checkpoint of the pipeline is under way")})
+    GenServer.reply(
+      from,
+      {:error, Error.new(:busy, "a checkpoint of the pipeline is already running")}
+    )
+
     state
   end
 
@@ -46,13 +50,13 @@ defmodule Situ.Pipeline.Checkpointing do
           sources: sources
         }
 
-        # A stage that does not answer is no reason to wait for ever.
+        # A stage that does not reply must not block the checkpoint forever.
         Process.send_after(self(), {:situ_checkpoint, checkpoint.ref}, timeout)
         gather(put(state, checkpoint), :freezing, :freeze, sources)
 
       id ->
         path = hd(state.stages[id].vertices).path
-        error = Error.new(:not_running, "#{path} has ended: there is no checkpoint without it")
+        error = Error.new(:not_running, "#{path} has ended, so no checkpoint can be taken")
         GenServer.reply(from, {:error, error})
         state
     end
@@ -67,7 +71,7 @@ defmodule Situ.Pipeline.Checkpointing do
     state |> put(checkpoint) |> next()
   end
 
-  @doc "A stage has said what it remembers, or why it cannot."
+  @doc "Handles a stage's snapshot, or the error that prevented it."
   @spec remembered(State.t(), pos_integer(), reference(), {:ok, map()} | {:error, Error.t()}) ::
           State.t()
   def remembered(%{dynamic: %{checkpoint: %{ref: ref} = checkpoint}} = state, id, ref, answer) do
@@ -83,17 +87,17 @@ defmodule Situ.Pipeline.Checkpointing do
     end
   end
 
-  # Of one that was given up: a source may stand still.
+  # The checkpoint was given up, but the source may still be paused.
   def remembered(state, id, ref, _answer), do: Stages.tell(state, id, {:thaw, ref})
 
-  @doc "Time to look again, or to give up."
+  @doc "Checks again whether the pipeline has settled, or gives up after the deadline."
   @spec look(State.t(), reference()) :: State.t()
   def look(%{dynamic: %{checkpoint: %{ref: ref, step: step}}} = state, ref) when step != :held,
     do: if(late?(state), do: fail(state, restless(state)), else: next(state))
 
   def look(state, _ref), do: state
 
-  @doc "The caller is done with it, or gone."
+  @doc "Ends the checkpoint when the caller has finished or died."
   @spec thaw(State.t(), reference()) :: State.t()
   def thaw(%{dynamic: %{checkpoint: %{ref: ref}}} = state, ref), do: over(state)
   def thaw(%{dynamic: %{checkpoint: %{monitor: ref}}} = state, ref), do: over(state)
@@ -145,9 +149,9 @@ defmodule Situ.Pipeline.Checkpointing do
     do: System.monotonic_time(:millisecond) >= state.dynamic.checkpoint.deadline
 
   defp restless(_state) do
-    Error.new(:not_settled, "no checkpoint: the pipeline never stood still",
+    Error.new(:not_settled, "no checkpoint was taken: messages were in flight all the time",
       why: "a checkpoint waits until all messages that the sources have posted are handled",
-      fix: "give it more time (timeout:), or the pipeline less to do"
+      fix: "allow more time (timeout:), or reduce the pipeline's load"
     )
   end
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Client do
   @moduledoc false
-  # Questions to a pipeline's process, asked by its handle, a stream, pid or name; one that has ended is an error, or
-  # its result.
+  # Sends requests to a pipeline's process, addressed by handle, stream, pid or name. If the pipeline has ended, returns
+  # an error or the pipeline's result.
   alias Situ.{Argument, Error, Lifecycle, Pipeline}
   alias Situ.Application.{Directory, Results}
   alias Situ.Graph.{Builder, Extension, Handle}
@@ -52,7 +52,7 @@ defmodule Situ.Pipeline.Client do
     Argument.refuse!(other, takes, ~s|Situ.Pipeline.stop_part(p, "Side")|)
   end
 
-  # A component, or a handler, of the pipeline itself.
+  # Returns whether the caller is a component or handler of the pipeline itself.
   defp inside?(pid), do: pid != nil and Process.get(:situ_pipeline) == pid
 
   @spec await(Pipeline.target(), timeout()) :: Pipeline.result()
@@ -73,7 +73,7 @@ defmodule Situ.Pipeline.Client do
     end
   end
 
-  @doc "Builds on the graph of a running pipeline; all of it runs when this returns, or nothing of it."
+  @doc "Adds to the graph of a running pipeline; on return, either all of the addition is running or none of it."
   @spec extend(Pipeline.target(), (Pipeline.t() -> result)) :: {:ok, result} | {:error, Error.t()}
         when result: term()
   def extend(p, fun) do
@@ -90,7 +90,7 @@ defmodule Situ.Pipeline.Client do
     error in Error -> {:error, error}
   end
 
-  @doc "Runs `fun` with the memories of all stages, while the sources stand still."
+  @doc "Calls `fun` with the snapshots of all stages, while the sources are paused."
   @spec checkpoint(Pipeline.target(), (map() -> result), pos_integer()) ::
           {:ok, result} | {:error, Error.t()}
         when result: term()
@@ -104,11 +104,11 @@ defmodule Situ.Pipeline.Client do
     end
   end
 
-  @doc "The server's answer, or `{:error, error}` when it has ended."
+  @doc "Returns the server's reply, or `{:error, error}` if the pipeline has ended."
   @spec call(Pipeline.target(), term()) :: term()
   def call(p, request), do: ask(pid(p), request, :infinity, nil)
 
-  @doc "The same, raising."
+  @doc "Works like `call/2`, but raises the error."
   @spec call!(Pipeline.target(), term()) :: term()
   def call!(p, request) do
     case call(p, request) do
@@ -135,7 +135,7 @@ defmodule Situ.Pipeline.Client do
 
   defp gone(_pid, nil), do: {:error, Errors.not_running()}
 
-  @doc "The live table of `Situ.inspect/2`: printed again every `ms` until the pipeline has ended."
+  @doc "Prints the live table of `Situ.inspect/2` every `ms` until the pipeline has ended."
   @spec watch(Pipeline.target(), pos_integer(), pos_integer() | :infinity) :: :ok
   def watch(_p, _ms, 0), do: :ok
 
@@ -145,28 +145,28 @@ defmodule Situ.Pipeline.Client do
     else
       table = Situ.Diagnostics.format(call!(p, :info))
       IO.puts([IO.ANSI.clear(), IO.ANSI.home(), table])
-      # A person reads it: this is the one place where waiting is the purpose.
+      # A person reads the table, so this is the one place where sleeping is the purpose.
       Process.sleep(ms)
       watch(p, ms, if(times == :infinity, do: :infinity, else: times - 1))
     end
   end
 
-  @doc "Something moves that its counters do not show: it is not stuck."
+  @doc "Reports movement that the pipeline's counters do not show, so that it does not count as stuck."
   @spec moving(Pipeline.target()) :: term()
   def moving(p), do: send(pid(p), :situ_moving)
 
-  @doc "A function of the pipeline's process, called on its node: clocks of another node cannot be read from here."
+  @doc "Calls a function on the node of the pipeline's process, because a clock can only be read on its own node."
   @spec there(pid(), module(), atom()) :: term()
   def there(pid, module, function) do
     :erpc.call(node(pid), module, function, [pid], 5_000)
   rescue
     error in ErlangError ->
-      raise Error.new(:not_running, "the pipeline does not answer",
-              why: "#{node(pid)} says: #{inspect(error.original, limit: 5)}"
+      raise Error.new(:not_running, "the pipeline is not responding",
+              why: "calling #{node(pid)} failed: #{inspect(error.original, limit: 5)}"
             )
   end
 
-  @doc "The process behind a handle, a stream or a name."
+  @doc "Returns the process of a handle, a stream or a name."
   @spec pid(Pipeline.target()) :: pid() | nil
   def pid(%Handle{pid: pid}), do: pid
   def pid(%Situ.Stream{pipeline: p}), do: p.pid
@@ -181,7 +181,7 @@ defmodule Situ.Pipeline.Client do
 
   defp registered_name?({:global, _}), do: true
   defp registered_name?({:via, _, _}), do: true
-  # The usual slip, `{:ok, p}`, is not the name of a process on a node.
+  # `{:ok, p}`, a common mistake, is not the name of a process on a node.
   defp registered_name?({:ok, _}), do: false
   defp registered_name?({name, node}), do: is_atom(name) and is_atom(node)
   defp registered_name?(name), do: is_atom(name)

@@ -1,12 +1,12 @@
 defmodule Situ.Pipeline.Dynamic do
   @moduledoc false
-  # The requests under way that change a running pipeline. Every one has a reference, names the stages that owe it an
-  # answer, and is answered when one of these ends before it has given it.
+  # Pending requests that change a running pipeline. Each has a reference, names the stages that owe it a reply, and
+  # fails if one of them ends before it has replied.
   #
-  #   taps      by the id of their stage: Dynamic.Tap
-  #   inputs    inputs being added or taken away: Dynamic.Input
-  #   checkpoint  the one under way: Checkpointing
-  #   replaces  per stage, the replacement under way and those that wait for it: Dynamic.Replacement
+  #   taps        by the id of their stage: Dynamic.Tap
+  #   inputs      inputs being added or removed: Dynamic.Input
+  #   checkpoint  the current checkpoint: Checkpointing
+  #   replaces    for each stage, the current replacement and the waiting ones: Dynamic.Replacement
   defstruct taps: %{}, inputs: %{}, replaces: %{}, checkpoint: nil
 
   @type t :: %__MODULE__{
@@ -16,7 +16,7 @@ defmodule Situ.Pipeline.Dynamic do
           checkpoint: map() | nil
         }
 
-  @doc "The pipeline has ended: answers all callers that still wait."
+  @doc "Replies to all callers that still wait, because the pipeline has ended."
   @spec cancel(t(), term()) :: :ok
   def cancel(dynamic, answer) do
     waiting =
@@ -32,7 +32,7 @@ defmodule Situ.Pipeline.Dynamic do
     :ok
   end
 
-  # Who holds it has its answer.
+  # The caller of a held checkpoint has already been given its reply.
   defp checkpoint(%{step: step, from: from}) when step != :held, do: [from]
   defp checkpoint(_none), do: []
 end

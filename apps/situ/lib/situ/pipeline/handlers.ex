@@ -1,19 +1,19 @@
 defmodule Situ.Pipeline.Handlers do
   @moduledoc false
-  # The process in which the handlers of `Situ.Pipeline.on/3` run, one after another in the order of the events. A
-  # slow one delays only the start (`:run`) and the end (`:completed`), and may call the pipeline. Its messages to the
+  # The process that runs the handlers of `Situ.Pipeline.on/3`, one after another in the order of the events. A slow
+  # handler delays only the start (`:run`) and the end (`:completed`), and may call the pipeline. The process sends the
   # server:
   #
-  #   {:situ_handled, event, :ok or {:error, error}, graph}   they have returned; the graph with what they have added
+  #   {:situ_handled, event, :ok or {:error, error}, graph}   the result, and the graph with everything that was added
   alias Situ.Error
   alias Situ.Graph.Builder
   require Logger
 
-  @doc "The handlers of a graph that are for `event`."
+  @doc "Returns whether a graph has handlers for `event`."
   @spec any?(Situ.Graph.t(), atom()) :: boolean()
   def any?(graph, event), do: Enum.any?(graph.handlers, &(elem(&1, 0) == event))
 
-  @doc "Calls them; starts the process if there is none yet."
+  @doc "Calls the handlers of an event; starts their process if it is not running."
   @spec call(pid() | nil, {atom(), term()}, Situ.Graph.t(), Situ.Graph.Handle.t()) :: pid()
   def call(nil, job, graph, handle) do
     server = self()
@@ -55,7 +55,7 @@ defmodule Situ.Pipeline.Handlers do
     end
   end
 
-  # One that raises is an error of the pipeline. A handler may add others of its kind: they run too.
+  # A handler that raises is an error of the pipeline. A handler may add handlers for the same event, which run, too.
   defp run(handle, graph, event, argument) do
     Builder.lend(handle, graph, fn -> each(handle, event, argument, 0) end)
   end
@@ -88,7 +88,7 @@ defmodule Situ.Pipeline.Handlers do
     )
   end
 
-  @doc "Builds what `{module, opts}` builds now, in a process of its own; the caller gets `{:situ_rebuilt, graph}`."
+  @doc "Runs the build of `{module, opts}` again in a new process; the caller receives `{:situ_rebuilt, graph}`."
   @spec rebuild({module(), keyword()}, Situ.Graph.Handle.t()) :: pid()
   def rebuild({module, opts}, handle) do
     server = self()
@@ -102,12 +102,12 @@ defmodule Situ.Pipeline.Handlers do
       catch
         kind, reason ->
           what = Exception.format_banner(kind, reason, __STACKTRACE__)
-          Logger.warning("#{inspect(module)} goes on with its old functions: #{what}")
+          Logger.warning("#{inspect(module)} keeps its old functions: #{what}")
       end
     end)
   end
 
-  @doc "Handlers of the new version in the place of those of the old one."
+  @doc "Replaces the handlers with the handlers of a new version, if both versions handle the same events."
   @spec reload(Situ.Graph.t(), Situ.Graph.t()) :: Situ.Graph.t()
   def reload(%{handlers: old} = graph, %{handlers: new}) do
     if Enum.map(old, &elem(&1, 0)) == Enum.map(new, &elem(&1, 0)),
@@ -115,14 +115,14 @@ defmodule Situ.Pipeline.Handlers do
       else: graph
   end
 
-  @doc "A pipeline that will not run: what was opened for it can be closed."
+  @doc "Calls the `:abandoned` handlers of a pipeline that will not run, so that they can close their resources."
   @spec abandoned(Situ.Graph.Handle.t(), Error.t() | nil) :: :ok
   def abandoned(handle, error) do
     graph = Builder.close(handle)
     for {:abandoned, fun} <- (graph && graph.handlers) || [], do: fun.(error)
     :ok
   catch
-    # There is an error already, or nobody to be told of one.
+    # The caller may be gone or already has an error, so this error can only be logged.
     kind, reason -> Logger.error(Exception.format(kind, reason, __STACKTRACE__))
   end
 end

@@ -1,18 +1,18 @@
 defmodule Situ.Pipeline.Inspection do
   @moduledoc false
-  # A pipeline seen from outside: report, snapshot, progress. Reads counters; asks no component.
+  # Reports the state of a pipeline: report, snapshot and progress. Reads counters and sends no requests to components.
   alias Situ.Diagnostics.{Averages, Snapshot, Survey, Trace}
   alias Situ.Pipeline.{Report, State}
   alias Situ.Ports.{Counters, Tally}
 
-  # However short the averaging span: looking costs something.
+  # The minimum interval between two observations, because each one costs some time.
   @least_ms 50
 
   defstruct [:averages, :described, :outcome, begun: 0, progress: 0.0, descriptions: %{}]
 
   @typedoc """
-  `begun`, `described`: monotonic times, native and ms; `progress` never decreases; `outcome`: the result, once it is
-  final.
+  `begun` and `described` are monotonic times, in native units and ms. `progress` never decreases. `outcome` is the
+  final result.
   """
   @type t :: %__MODULE__{
           averages: Averages.t() | nil,
@@ -37,7 +37,7 @@ defmodule Situ.Pipeline.Inspection do
     end
   end
 
-  @doc "Asks components that describe themselves for a line, at most five times a second; answers come when they come."
+  @doc "Asks components with `describe/1` for a description, at most five times a second; replies arrive later."
   @spec describe(State.t()) :: State.t()
   def describe(%{life: %{phase: :running}, view: %{described: described}} = state) do
     now = System.monotonic_time(:millisecond)
@@ -56,12 +56,12 @@ defmodule Situ.Pipeline.Inspection do
 
   def describe(state), do: state
 
-  @doc "A component's line about itself."
+  @doc "Stores a component's description of itself."
   @spec described(State.t(), pos_integer(), String.t() | nil) :: State.t()
   def described(state, id, text),
     do: remember(state, descriptions: Map.put(state.view.descriptions, id, text))
 
-  @doc "The pipeline has a clock: means are taken from now on."
+  @doc "Starts the averages, once the pipeline has a clock."
   @spec begin(State.t()) :: State.t()
   def begin(state) do
     averages = Averages.new(state.settings.averaging, state.timing.start_time)
@@ -70,14 +70,14 @@ defmodule Situ.Pipeline.Inspection do
 
   defp remember(state, changes), do: %{state | view: struct!(state.view, changes)}
 
-  @doc "Remembers the totals now, and again in half an averaging span: what means are taken over is never much older."
+  @doc "Records the totals now and every half averaging span, so that averages never cover a much older span."
   @spec observe(State.t()) :: State.t()
   def observe(%{view: %{averages: %{span: span}}} = state) do
     Process.send_after(self(), :situ_observe, max(div(span, 2_000_000), @least_ms))
     mark(state)
   end
 
-  @doc "Remembers the totals now."
+  @doc "Records the totals now."
   @spec mark(State.t()) :: State.t()
   def mark(%{view: %{averages: nil}} = state), do: state
 
@@ -112,7 +112,7 @@ defmodule Situ.Pipeline.Inspection do
     })
   end
 
-  @doc "Where the message of an originating time is."
+  @doc "Returns where the message of an originating time is."
   @spec trace(State.t(), Situ.Time.t()) :: Trace.t()
   def trace(state, time) do
     Trace.new(time, now(state), %{
@@ -162,7 +162,7 @@ defmodule Situ.Pipeline.Inspection do
   defp start_time(%{timing: nil}), do: nil
   defp start_time(state), do: state.timing.start_time
 
-  @doc "The report up to now."
+  @doc "Returns the report up to now."
   @spec report(State.t()) :: Report.t()
   def report(state) do
     skipped =
@@ -187,7 +187,7 @@ defmodule Situ.Pipeline.Inspection do
     }
   end
 
-  # Every operator of a chain has closed with it.
+  # All operators of a chain close together.
   defp closed(state) do
     for id <- Enum.reverse(state.life.closed),
         stage = state.stages[id],

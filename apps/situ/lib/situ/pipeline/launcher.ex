@@ -1,13 +1,13 @@
 defmodule Situ.Pipeline.Launcher do
   @moduledoc false
-  # The ways into a pipeline: a process that builds the graph, answers its caller and becomes the pipeline's server.
+  # Launches a pipeline: a new process builds the graph, replies to its caller and becomes the pipeline's server.
   alias Situ.Error
   alias Situ.Application.{Directory, Reload}
   alias Situ.Graph.Builder
   alias Situ.Lifecycle.Errors
   alias Situ.Pipeline.{Handlers, Server, Settings, State}
 
-  # The result comes as a message of its own: a short pipeline has ended before one could ask it.
+  # The result arrives as a separate message, because a short pipeline may have ended before it could be asked.
   def run(spec, opts) do
     reply = make_ref()
 
@@ -42,10 +42,11 @@ defmodule Situ.Pipeline.Launcher do
     end
   end
 
-  # A script that runs without mix may not have started the application; a pipeline would wait for its tables for ever.
+  # A script that runs without mix may not have started the application, and a pipeline would wait for its tables
+  # forever.
   defp ensure_started do
     with {:error, reason} <- Application.ensure_all_started(:situ) do
-      raise Error.new(:not_started, "the :situ application does not start: #{inspect(reason)}")
+      raise Error.new(:not_started, "the :situ application failed to start: #{inspect(reason)}")
     end
   end
 
@@ -63,7 +64,7 @@ defmodule Situ.Pipeline.Launcher do
 
   defp proc_lib(how, args), do: apply(:proc_lib, how, [__MODULE__, :init_it, args])
 
-  # A process that dies in the middle of `build` has no error of its own.
+  # A process that dies during `build` leaves only an exit reason.
   defp entered({:error, %Error{}} = error), do: error
   defp entered({:error, reason}), do: {:error, Errors.crashed(reason)}
   defp entered(ok), do: ok
@@ -80,7 +81,7 @@ defmodule Situ.Pipeline.Launcher do
       {:ok, result} ->
         graph = Builder.close(handle)
         state = watch(%{state | handle: handle, graph: graph, result: result}, caller)
-        # With its caller gone meanwhile there is nobody to run for.
+        # If the caller has ended in the meantime, the result is of no use.
         unless Process.alive?(caller), do: exit(:normal)
         with {module, _opts} <- settings.origin, do: Reload.watch(module, version)
         send(self(), :situ_launch)
@@ -111,7 +112,7 @@ defmodule Situ.Pipeline.Launcher do
     end
   end
 
-  # Read before the build, so that a version that is loaded during it counts as new.
+  # Reads the version before the build, so that a version that is loaded during the build counts as new.
   defp loaded_version({module, _opts}) do
     if Code.ensure_loaded?(module), do: Reload.version(module)
   end

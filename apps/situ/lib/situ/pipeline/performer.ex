@@ -1,7 +1,6 @@
 defmodule Situ.Pipeline.Performer do
   @moduledoc false
-  # Performs the actions of the life cycle: the one place where a decision becomes a message, a process, a line in the
-  # log.
+  # Performs the actions of the life cycle. Only this module turns a decision into a message, a process or a log line.
   alias Situ.{Clock, Error, Graph, Lifecycle, Telemetry}
   alias Situ.Clock.Timing
   alias Situ.Graph.{Cycle, Plan}
@@ -11,7 +10,7 @@ defmodule Situ.Pipeline.Performer do
   alias Situ.Ports.Tally
   require Logger
 
-  @doc "One event, and all that follows from it at once."
+  @doc "Applies one event and performs all actions that follow from it."
   @spec apply(State.t(), Lifecycle.event()) :: State.t()
   def apply(state, event) do
     {life, actions} = Lifecycle.apply(state.life, event, State.now(state))
@@ -21,7 +20,7 @@ defmodule Situ.Pipeline.Performer do
   @spec apply_all(State.t(), [Lifecycle.event()]) :: State.t()
   def apply_all(state, events), do: Enum.reduce(events, state, &__MODULE__.apply(&2, &1))
 
-  @doc "A process that was linked ended."
+  @doc "Handles the end of a linked process."
   @spec exited(State.t(), pid(), term()) :: State.t()
   def exited(%{handlers: pid} = state, pid, reason) do
     error = %{Errors.crashed(reason) | what: "a handler died: #{inspect(reason, limit: 8)}"}
@@ -50,7 +49,7 @@ defmodule Situ.Pipeline.Performer do
     if Extension.forgotten?(state, id), do: __MODULE__.apply(state, {:left, id}), else: state
   end
 
-  @doc "Answers all callers that wait for this stage."
+  @doc "Fails the requests of all callers that wait for this stage."
   @spec interrupted(State.t(), pos_integer()) :: State.t()
   def interrupted(state, id) do
     state = Dynamic.Replacement.interrupted(state, id)
@@ -59,7 +58,7 @@ defmodule Situ.Pipeline.Performer do
     apply_all(state, events ++ more)
   end
 
-  @doc "Handlers have returned, perhaps with more in the graph than there was."
+  @doc "Handles handlers that have returned, perhaps after adding to the graph."
   @spec handled(State.t(), atom(), :ok | {:error, Error.t()}, Graph.t()) :: State.t()
   def handled(state, :run, result, graph),
     do: __MODULE__.apply(%{state | graph: graph}, {:handled, :run, result})
@@ -87,7 +86,7 @@ defmodule Situ.Pipeline.Performer do
     %{error | what: "the #{inspect(event)} handler added components: #{error.what}"}
   end
 
-  @doc "An error that is only told."
+  @doc "Logs an error that does not end the pipeline and calls the `:error` handlers."
   @spec noted(State.t(), Error.t()) :: State.t()
   def noted(state, error) do
     Logger.warning(Exception.message(error))
@@ -108,7 +107,7 @@ defmodule Situ.Pipeline.Performer do
     call_handlers(state, :error, error)
   end
 
-  @doc "The error of a time that does not increase names the cycle that brought it."
+  @doc "Adds the cycle that caused it to the error of a non-increasing time."
   @spec explained(Error.t(), State.t()) :: Error.t()
   def explained(error, state), do: Cycle.explain(error, state.graph)
 
@@ -123,7 +122,7 @@ defmodule Situ.Pipeline.Performer do
 
   defp perform({:lend, tag}, state), do: Extension.lend(state, tag)
 
-  # Stages whose processes are still alive leave when those end.
+  # A stage whose process is still alive leaves when the process ends.
   defp perform({:forget, ids}, state) do
     ended = Enum.filter(ids, &Stages.ended?(state, &1))
     state |> Extension.forget(ids) |> apply_all(Enum.map(ended, &{:left, &1}))
@@ -135,7 +134,7 @@ defmodule Situ.Pipeline.Performer do
 
   defp perform({:event, event}, state), do: __MODULE__.apply(state, event)
 
-  # From its parent: it runs terminate/2 and ends.
+  # An exit signal from its parent makes the stage run terminate/2 and end.
   defp perform({:shutdown, id}, state) do
     Process.exit(state.stages[id].pid, :shutdown)
     state
@@ -240,7 +239,7 @@ defmodule Situ.Pipeline.Performer do
     %{state | view: %{state.view | outcome: result}}
   end
 
-  @doc "Tells how far it is, and again later."
+  @doc "Calls the `:progress` handlers and schedules the next call."
   @spec progress(State.t()) :: State.t()
   def progress(%{life: %{phase: :completed}} = state), do: state
 
@@ -258,13 +257,13 @@ defmodule Situ.Pipeline.Performer do
     if Handlers.any?(state.graph, event), do: call(state, {event, argument}), else: state
   end
 
-  # Those of `:run` may build on the graph; it is not copied for others.
+  # Only `:run` handlers may build on the graph, so it is not copied for others.
   defp call(state, {event, _argument} = job) do
     graph = if event == :run, do: state.graph, else: %Graph{handlers: state.graph.handlers}
     %{state | handlers: Handlers.call(state.handlers, job, graph, state.handle)}
   end
 
-  # Those that are still too early wait again.
+  # Messages that are still too early are deferred again.
   defp resend_early(state) do
     for message <- Enum.reverse(state.early), do: send(self(), message)
     %{state | early: []}

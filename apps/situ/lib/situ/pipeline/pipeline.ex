@@ -1,6 +1,6 @@
 defmodule Situ.Pipeline do
   @moduledoc """
-  A pipeline: a graph of components, run as a supervised set of processes.
+  A pipeline is a graph of components, run as a supervised set of processes.
 
       defmodule Lobby do
         use Situ.Pipeline
@@ -33,20 +33,20 @@ defmodule Situ.Pipeline do
               ├── component or chain of operators, linked; traps exits, so that `terminate/2` runs
               └── ...
 
-  A component that dies is restarted in its place (`on_error: :restart` or `:skip`) or ends the pipeline with an
-  error. When the pipeline's process dies its components release what they hold and end. The guide "When things fail"
-  has the whole table.
+  A component that dies is restarted in its place (`on_error: :restart` or `:skip`), or the pipeline ends with an error.
+  When the pipeline's process dies, its components release their resources and end. The guide "When things fail" has
+  the complete table.
 
-  ## Compiling again
+  ## Recompiling
 
-  When the module of a running pipeline is compiled again (`r Lobby` in IEx), its operators take the new functions and
+  When the module of a running pipeline is recompiled (`r Lobby` in IEx), its operators switch to the new functions and
   keep their state, even while the pipeline is starting. This takes about 50 ms, and longer on a busy machine. The VM
   keeps two versions of a module, so compiling it twice within that time ends the pipeline with a `BadFunctionError`.
-  Functions given as `&Module.name/1` are always the newest and have no such limit.
+  Functions given as `&Module.name/1` always use the newest version and have no such limit.
 
   ## Building from outside
 
-  `new/1` opens an empty pipeline in state `:building`; add to it from any process, then `launch/1`:
+  `new/1` opens an empty pipeline in state `:building`. Add components to it from any process, then call `launch/1`:
 
       iex> p = Situ.Pipeline.new()
       iex> node = Situ.Pipeline.add(p, Situ.Component.Empty)
@@ -62,14 +62,14 @@ defmodule Situ.Pipeline do
   alias Situ.Graph.{Builder, Handle}
   alias Situ.Pipeline.{Client, Launcher, Report}
 
-  @typedoc "A handle: what `build/2` is given and `new/1` returns."
+  @typedoc "A handle, passed to `build/2` and returned by `new/1`."
   @type t :: Handle.t()
   @type spec :: module() | (t() -> term())
-  @typedoc "A running pipeline: handle, process, registered name, label (`name:` as text), or one of its streams."
+  @typedoc "A running pipeline: handle, process, registered name, label (`name:` as a string), or one of its streams."
   @type target :: t() | pid() | GenServer.name() | String.t() | Stream.t()
   @type result :: {:ok, Report.t()} | {:error, Error.t()}
 
-  @doc "Builds the graph. The return value is the report's `result`."
+  @doc "Builds the graph. Its return value becomes the report's `result`."
   @callback build(t(), opts :: keyword()) :: term()
 
   @doc false
@@ -83,7 +83,7 @@ defmodule Situ.Pipeline do
     end
   end
 
-  @doc "A supervisor's child specification for `{module_or_fun, opts}`; transient: restarted when it fails."
+  @doc "Returns a child specification for `{module_or_fun, opts}`; it is transient, so failures restart the pipeline."
   @spec child_spec({spec(), keyword()}) :: Supervisor.child_spec()
   def child_spec({spec, opts}) do
     %{
@@ -96,22 +96,23 @@ defmodule Situ.Pipeline do
   end
 
   @doc """
-  Builds, runs to completion and returns the report, or the first error (all of them are in `error.meta.errors`).
+  Builds the pipeline, runs it to completion and returns the report, or the first error (`error.meta.errors` holds all
+  of them).
 
   A pipeline without finite sources runs until another process stops it.
   """
   @spec run(spec(), keyword()) :: result()
   def run(spec, opts \\ []), do: Launcher.run(spec, opts)
 
-  @doc "Builds and starts a pipeline linked to the caller; returns as soon as `build` is done."
+  @doc "Builds and starts a pipeline linked to the caller; returns as soon as `build` has returned."
   @spec start_link(spec(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(spec, opts \\ []), do: Launcher.start_link(spec, opts)
 
-  @doc "As `start_link/2` without the link: a failure is seen by `await/2` alone."
+  @doc "Starts a pipeline like `start_link/2`, but without the link; only `await/2` reports a failure."
   @spec start(spec(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start(spec, opts \\ []), do: Launcher.start(spec, opts)
 
-  @doc "Opens an empty pipeline, to be built from outside and then launched with `launch/1`; it ends with its caller."
+  @doc "Opens an empty pipeline to build from outside and start with `launch/1`; it ends with its caller."
   @spec new(keyword()) :: t()
   def new(settings \\ []), do: Launcher.new(settings)
 
@@ -121,21 +122,22 @@ defmodule Situ.Pipeline do
   def launch(other), do: Argument.refuse!(other, :handle, "Situ.Pipeline.launch(p)")
 
   @doc """
-  Stops: sources first, what is on its way up to now is still delivered, then every output closes, upstream first.
+  Stops a pipeline: sources stop first, messages posted until now are delivered, then every output closes, upstream
+  first.
 
-  A source that lags behind the clock may go on up to the clock's time, for `catch_up:` ms at most (1,000); with
-  `catch_up: 0` it ends where it is. `timeout:` bounds the wait of the caller, not the stop.
+  A source that lags behind the clock may continue up to the clock's time, for at most `catch_up:` ms (1,000); with
+  `catch_up: 0` it ends at its current position. `timeout:` limits how long the caller waits, not the stop.
 
-  Returns the report when all is done, to every caller that asks before it has ended;
-  `{:error, %Situ.Error{code: :not_running}}` when it had ended already. Called from inside one of the pipeline's own
-  components it returns `:ok` at once, and the pipeline stops later.
+  Returns the report once everything has ended, to every caller that asks before that. Returns
+  `{:error, %Situ.Error{code: :not_running}}` if the pipeline had already ended. Called from inside one of the
+  pipeline's own components, it returns `:ok` immediately and the pipeline stops later.
   """
   @spec stop(target(), keyword()) :: result() | :ok
   def stop(p, opts \\ []), do: Client.stop(p, opts)
 
   @doc """
-  Ends a pipeline at once, for whoever lets it go on elsewhere from a checkpoint: nothing under way is delivered,
-  components release what they hold, and the result is an error (`:abandoned`).
+  Ends a pipeline immediately, for callers that continue it elsewhere from a checkpoint. Messages in flight are not
+  delivered, components release their resources, and the result is an error (`:abandoned`).
 
       iex> {:ok, p} = Situ.Pipeline.start(&Situ.from_enumerable(&1, Stream.cycle([1]), every: Situ.Time.s(1)))
       iex> :ok = Situ.Pipeline.abandon(p)
@@ -147,16 +149,16 @@ defmodule Situ.Pipeline do
   def abandon(p), do: Client.abandon(p)
 
   @doc """
-  Stops a composite, or one component, given as a path or a `Situ.Node`; the rest of the pipeline runs on.
+  Stops a composite or a component, given as a path or a `Situ.Node`; the rest of the pipeline keeps running.
 
-  At the time of the stop its sources stop and its inputs from outside close; it still gets the messages posted up to
-  then. Its outputs close, upstream first, with that time: for listeners outside, those streams have ended
-  (`handle_closed/4`, windows and joins flush). Its processes end and release their devices and files; diagnostics
-  list its components as `:closed`. It does not start again.
+  At the time of the stop, the part's sources stop and its inputs from outside close; it still receives the messages
+  posted up to then. Its outputs close at that time, upstream first, so listeners outside see the end of those streams
+  (`handle_closed/4` is called, windows and joins flush). Its processes end and release their devices and files, and
+  diagnostics list its components as `:closed`. A stopped part cannot be started again.
 
-  The stopped part has no more say in when the pipeline ends: the remaining sources decide that, and if none remains
-  the pipeline stops as after `stop/2`. Options as in `stop/2`. Returns `:ok` when all of the part has closed; called
-  from inside one of the pipeline's own components, it returns at once.
+  The stopped part no longer affects when the pipeline ends. The remaining sources decide that; if there are none, the
+  pipeline stops as after `stop/2`. The options are those of `stop/2`. Returns `:ok` when the whole part has closed;
+  called from inside one of the pipeline's own components, it returns immediately.
 
       iex> {:ok, p} = Situ.Pipeline.start(fn p ->
       ...>   clock = Situ.timer(p, every: Situ.Time.ms(1))
@@ -171,21 +173,21 @@ defmodule Situ.Pipeline do
       iex> :done
       :done
 
-  Errors: `:unknown_component`; `:not_running` when it has ended; `:shared_process` when a synchronous policy has put
-  an operator of it into one process with one outside; `:component_killed` when it was stuck for `stop_timeout:` and
-  had to be killed.
+  Errors: `:unknown_component`; `:not_running` if the part has ended; `:shared_process` if a synchronous policy put one
+  of its operators into the same process as an operator outside; `:component_killed` if a component was stuck for
+  `stop_timeout:` and had to be killed.
   """
   @spec stop_part(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
   def stop_part(p, part, opts \\ []), do: Client.stop_part(p, part, opts)
 
   @doc """
-  Adds components to a running pipeline: `fun` gets its handle and builds as `build/2` does. It may listen to streams
-  that flow already (see `stream/2`), at a message boundary: the last message before is not seen, every one after it
-  is.
+  Adds components to a running pipeline. `fun` receives a handle and builds as `build/2` does. The new components may
+  listen to running streams (see `stream/2`) from a message boundary on: they miss the last message before it and
+  receive every later one.
 
-  Either all of it runs when this returns, or nothing does: what is wrong with it is returned and the pipeline runs on
-  as before. A pipeline waits for the end of finite sources that were added; that they have ended is no reason to end.
-  Take it away again with `remove/3`.
+  When this function returns, either all new components are running or none of them. In the latter case it returns the
+  error and the pipeline keeps running as before. A pipeline waits for the end of added finite sources, but their end
+  alone does not end it. Use `remove/3` to remove the components again.
 
       iex> me = self()
       iex> {:ok, p} = Situ.Pipeline.start(fn p -> p |> Situ.timer(every: Situ.Time.ms(1)) |> Situ.name("Ticks") end)
@@ -201,8 +203,9 @@ defmodule Situ.Pipeline do
       iex> :done
       :done
 
-  Errors: those of building; `:inside_chain` when a stream has no output of its own, `:fixed_inputs` when an input of
-  what runs is connected, `:not_running`; whatever `init/1` and `handle_start/2` of what is added fail with.
+  Errors: the errors of building; `:inside_chain` if a stream has no output outside its process; `:fixed_inputs` if the
+  function connects an input of a running component; `:not_running`; and errors of `init/1` and `handle_start/2` of the
+  new components.
   """
   @spec extend(target(), (t() -> result)) :: {:ok, result} | {:error, Error.t()}
         when result: term()
@@ -214,31 +217,31 @@ defmodule Situ.Pipeline do
   end
 
   @doc """
-  Stops a part as `stop_part/3` does, and takes it out of the pipeline: its names are free again.
+  Stops a part as `stop_part/3` does and removes it from the pipeline, which frees its names.
 
   A part that was stopped, is being stopped, or has ended by itself can also be removed.
   """
   @spec remove(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
   def remove(p, part, opts \\ []), do: Client.stop_part(p, part, [{:forget?, true} | opts])
 
-  @doc "A stream of the pipeline being built (or extended), by its name. Raises `Situ.Error` (`:unknown_stream`)."
+  @doc "Returns a stream of the pipeline being built or extended, by name. Raises `Situ.Error` (`:unknown_stream`)."
   @spec stream(t(), String.t()) :: Stream.t()
   def stream(%Handle{} = p, name), do: Builder.run(p, &{Graph.stream!(&1, p, name), &1})
 
   def stream(other, name),
     do: Argument.refuse!(other, :handle, "Situ.Pipeline.stream(p, #{inspect(name)})")
 
-  @doc "Waits for the end; `{:error, %Situ.Error{code: :timeout}}` after `timeout` ms, and the pipeline goes on."
+  @doc "Waits for the end; after `timeout` ms returns a `Situ.Error` (`:timeout`), and the pipeline keeps running."
   @spec await(target(), timeout()) :: result()
   def await(p, timeout \\ :infinity), do: Client.await(p, timeout)
 
-  @doc "Graph, counters, queues, latencies, processes: a `Situ.Diagnostics.Snapshot`. Asks no component."
+  @doc "Returns a `Situ.Diagnostics.Snapshot`: graph, counters, queues, latencies and processes. Calls no component."
   @spec info(target()) :: Situ.Diagnostics.Snapshot.t()
   def info(p), do: Client.call!(p, :info)
 
   @doc """
-  Where the message of the originating time `time` is now, and where it waited: a `Situ.Diagnostics.Trace`. Asks no
-  component.
+  Returns a `Situ.Diagnostics.Trace`: where the message of the originating time `time` is now, and where it waited.
+  Calls no component.
   """
   @spec trace(target(), Situ.Time.t()) :: Situ.Diagnostics.Trace.t()
   def trace(p, time) when is_integer(time), do: Client.call!(p, {:trace, time})
@@ -249,7 +252,7 @@ defmodule Situ.Pipeline do
   end
 
   @doc """
-  The pipelines of this node: label, process and state of each.
+  Returns the pipelines of this node, each with its label, process and state.
 
       iex> build = fn p -> Situ.timer(p, every: Situ.Time.ms(1)) end
       iex> {:ok, p} = Situ.Pipeline.start(build, pipeline: [name: "Doc clock"])
@@ -267,11 +270,11 @@ defmodule Situ.Pipeline do
         do: %{name: name, pid: pid, state: state}
   end
 
-  @doc "The state: `:building`, `:starting`, `:running`, `:stopping` or `:completed`."
+  @doc "Returns the state: `:building`, `:starting`, `:running`, `:stopping` or `:completed`."
   @spec state(target()) :: atom()
   def state(p), do: Client.state(p)
 
-  @doc "The pipeline's clock now, ns."
+  @doc "Returns the current time of the pipeline's clock, in ns."
   @spec now(target()) :: Situ.Time.t()
   def now(p) do
     pid = Client.pid(p)
@@ -281,19 +284,19 @@ defmodule Situ.Pipeline do
       else: p |> clock() |> Situ.Clock.now()
   end
 
-  @doc "The pipeline's clock; available once it has started."
+  @doc "Returns the pipeline's clock; available once the pipeline has started."
   @spec clock(target()) :: Situ.Clock.t()
   def clock(p), do: Client.call!(p, :clock)
 
-  @doc "How far the replay or the finite sources are, 0.0 to 1.0; never decreases, 1.0 only at the end."
+  @doc "Returns the progress of the replay or the finite sources, 0.0 to 1.0; never decreases, 1.0 only at the end."
   @spec progress(target()) :: float()
   def progress(p), do: Client.call!(p, :progress)
 
-  @doc "Halts the clock of a running pipeline: replayed and timed messages wait."
+  @doc "Pauses the clock of a running pipeline; replayed and timed messages wait."
   @spec pause(target()) :: :ok | {:error, Error.t()}
   def pause(p), do: Client.call(p, {:clock, :pause})
 
-  @doc "Lets a paused clock go on from where it stood."
+  @doc "Resumes a paused clock from the time at which it was paused."
   @spec resume(target()) :: :ok | {:error, Error.t()}
   def resume(p), do: Client.call(p, {:clock, :resume})
 
@@ -308,10 +311,10 @@ defmodule Situ.Pipeline do
   end
 
   @doc """
-  Replaces the module or the options of a running component; its edges, queues and place stay.
+  Replaces the module or the options of a running component; its edges, queues and position in the graph stay the same.
 
-  `node` is a `Situ.Node` or a path. The state goes through the new module's `migrate/3` if it has one, else it starts
-  fresh. Refused with a reason when ports or types do not fit.
+  `node` is a `Situ.Node` or a path. If the new module defines `migrate/3`, it converts the state; otherwise the
+  component starts with a fresh state. Returns an error that gives the reason if ports or types do not fit.
   """
   @spec replace(target(), Node.t() | String.t(), {module(), keyword()} | keyword(), keyword()) ::
           :ok | {:error, Error.t()}
@@ -321,12 +324,12 @@ defmodule Situ.Pipeline do
   end
 
   @doc """
-  A checkpoint: `fun` gets the memories of all components as plain data, by their paths, while sources stand still and
-  no message is on its way. A pipeline of the same graph that starts with `pipeline: [resume: memories]` goes on from
-  there, in another process or on another machine; what had been posted before is not posted again.
+  Takes a checkpoint: calls `fun` with a map from component path to snapshot (plain data), while sources are paused and
+  no messages are in flight. A pipeline with the same graph that starts with `pipeline: [resume: memories]` continues
+  from there, in another process or on another machine; messages that were posted before are not posted again.
 
-  States that are data need nothing for it; a component with handles in its state defines `c:Situ.Component.snapshot/1`
-  and `c:Situ.Component.restore/2`.
+  A component whose state is plain data needs no extra code. A component with handles in its state defines
+  `c:Situ.Component.snapshot/1` and `c:Situ.Component.restore/2`.
 
       iex> count = fn p ->
       ...>   numbers = Situ.from_enumerable(p, Stream.cycle(1..4), every: Situ.Time.s(1))
@@ -340,8 +343,8 @@ defmodule Situ.Pipeline do
       iex> :done
       :done
 
-  Options: `timeout:`, ms to wait for that moment (5,000). Errors: `:no_snapshot` names a component whose state is no
-  data; `:not_settled` if messages were under way all the time; `:busy`, `:not_running`.
+  Options: `timeout:`, the ms to wait for the checkpoint (5,000). Errors: `:no_snapshot` names a component whose state
+  is not plain data; `:not_settled` if messages were in flight all the time; `:busy`; `:not_running`.
   """
   @spec checkpoint(target(), (%{String.t() => map()} -> result), keyword()) ::
           {:ok, result} | {:error, Error.t()}
@@ -357,12 +360,12 @@ defmodule Situ.Pipeline do
   end
 
   @doc """
-  Adds a component without connecting it (`Situ.source/3` and `Situ.via/3` do both). `opts` are its own options and
-  those of `Situ.Graph.Placement`.
+  Adds a component without connecting it (`Situ.source/3` and `Situ.via/3` do both). `opts` are the component's options
+  and those of `Situ.Graph.Placement`.
 
-  `on_same_time:` is for sources whose messages may have equal times (a coarse clock, a log of whole seconds):
-  `:error` (default), `:drop` the later one, or `:nudge` it to 1 ns behind the one before. A time that goes back is an
-  error with each.
+  `on_same_time:` is for sources whose messages may have equal times (a coarse clock, a log with whole seconds):
+  `:error` (the default), `:drop` to drop the later message, or `:nudge` to move it to 1 ns after the previous one. A
+  time that goes backwards is always an error.
 
       iex> enumerable = [{10, :a}, {10, :b}, {10, :c}, {20, :d}]
       iex> replay = [replay: [interval: {0, 100}, speed: :max]]
@@ -378,7 +381,7 @@ defmodule Situ.Pipeline do
   def add(other, module, _opts),
     do: Argument.refuse!(other, :handle, "Situ.Pipeline.add(p, #{inspect(module)})")
 
-  @doc "Connects `stream` to the `input` of `node`; option `policy:`, a `Situ.Delivery`."
+  @doc "Connects `stream` to the `input` of `node`; the option `policy:` is a `Situ.Delivery`."
   @spec connect(Stream.t(), Node.t(), atom(), keyword()) :: :ok
   def connect(stream, node, input, opts \\ [])
 
@@ -389,15 +392,14 @@ defmodule Situ.Pipeline do
     do: Argument.refuse!(other, :stream, "Situ.Pipeline.connect(stream, node, :in)")
 
   @doc """
-  Groups what `fun` adds under one name, drawn as one box; returns what `fun` returns.
+  Groups the components that `fun` adds under one name, drawn as one box; returns the result of `fun`.
 
   ## Options
 
   #{Situ.Options.docs(Graph.scope_schema())}
 
-  A composite that restarts does so as a unit: all its components run `terminate/2`, start again with fresh state on
-  the same edges, and count as one for `max_restarts:`. Components with an `on_error:` of their own, `:skip` or
-  `:restart`, keep it.
+  A composite restarts as a unit: all its components run `terminate/2`, start again with fresh state on the same edges,
+  and count as one restart for `max_restarts:`. Components with their own `on_error:`, `:skip` or `:restart`, keep it.
   """
   @spec composite(t(), String.t(), (t() -> result), keyword()) :: result when result: term()
   def composite(p, name, fun, opts \\ [])
@@ -412,7 +414,7 @@ defmodule Situ.Pipeline do
     Argument.refuse!(other, :handle, example)
   end
 
-  # Streams and nodes that a composite returns are used outside of it: their handles get the outer scope again.
+  # Streams and nodes that a composite returns are used outside of it, so their handles are given the outer scope again.
   defp rescope(%Stream{} = s, scope), do: %{s | pipeline: %{s.pipeline | scope: scope}}
   defp rescope(%Node{} = n, scope), do: %{n | pipeline: %{n.pipeline | scope: scope}}
   defp rescope(%_{} = struct, _scope), do: struct
@@ -425,10 +427,10 @@ defmodule Situ.Pipeline do
   defp rescope(other, _scope), do: other
 
   @doc """
-  Tells during `build` which span of originating times a source is going to replay.
+  Announces, during `build`, the span of originating times that a source is going to replay.
 
-  Proposals are merged (smallest span that holds all) and cut by `replay: [interval: ...]`; the clock starts at the
-  result.
+  Proposals are merged into the smallest span that contains all of them, and limited by `replay: [interval: ...]`; the
+  clock starts at the beginning of the result.
   """
   @spec propose_replay(t(), {Situ.Time.t(), Situ.Time.t() | :unbounded}) :: :ok
   def propose_replay(%Handle{} = p, {from, to})
@@ -445,18 +447,18 @@ defmodule Situ.Pipeline do
     do: Argument.refuse!(other, :handle, "Situ.Pipeline.propose_replay(p, {from, to})")
 
   @doc """
-  Calls `fun` when something happens; only during `build`.
+  Registers `fun` to be called for an event; only during `build`.
 
     * `:run`: `fun.(start_time)` before any source starts; raising fails the start
-    * `:completed`: `fun.(report)` after everything is final, before `run/2` returns
+    * `:completed`: `fun.(report)` after everything has ended, before `run/2` returns
     * `:component_completed`: `fun.({path, final_time})` when a finite source reports its end
     * `:error`: `fun.(error)` for each error
-    * `:progress`: `fun.(progress)`, every `progress_every:` ms and at the end: 0.0 to 1.0, never less than before
-    * `:abandoned`: `fun.(error | nil)` when `build` failed, or the owner of an empty pipeline went before it was
-      started: nothing else of it will ever be called
+    * `:progress`: `fun.(progress)` every `progress_every:` ms and at the end: 0.0 to 1.0, never decreasing
+    * `:abandoned`: `fun.(error | nil)` if `build` failed, or if the owner of an empty pipeline ended before the
+      pipeline was started; no other handler will be called
 
-  A `resource` is a value among the options of components, such as the writer of a recording. When the pipeline is cut
-  into parts that run on several nodes, the handler goes to the node of the components that use it.
+  A `resource` is a value in the options of components, such as the writer of a recording. If the pipeline is divided
+  into parts that run on several nodes, the handler moves to the node of the components that use the resource.
   """
   @spec on(t(), event, (term() -> any()), resource :: term()) :: :ok
         when event: :run | :completed | :component_completed | :error | :progress | :abandoned
@@ -475,7 +477,7 @@ defmodule Situ.Pipeline do
     do: Argument.refuse!(other, :handle, "Situ.Pipeline.on(p, :error, fn error -> error end)")
 
   @doc """
-  The replay interval of the pipeline: `{from | :unbounded, to | :unbounded}`; for importers during `build`.
+  Returns the replay interval, `{from | :unbounded, to | :unbounded}`, for importers during `build`.
   """
   @spec replay_interval(t()) :: {Situ.Time.t() | :unbounded, Situ.Time.t() | :unbounded}
   def replay_interval(%Handle{} = p), do: Builder.run(p, &{&1.replay, &1})

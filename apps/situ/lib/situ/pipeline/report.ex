@@ -2,15 +2,15 @@ defmodule Situ.Pipeline.Report do
   @moduledoc """
   The result of `Situ.Pipeline.run/2` and `Situ.Pipeline.stop/2`.
 
-    * `result`: what `build` returned
+    * `result`: the return value of `build`
     * `start_time`, `final_time`: pipeline clock, ns
     * `duration`: wall time from start to end, ns
-    * `errors`: every `Situ.Error`, first first
-    * `skipped`: per component path, messages lost to `on_error: :skip | :restart`
-    * `closed`: component paths in the order in which they were finalised
-    * `snapshot`: the last `Situ.Diagnostics.Snapshot`: messages, drops and latency of every edge
+    * `errors`: every `Situ.Error`, oldest first
+    * `skipped`: the number of messages lost to `on_error: :skip | :restart`, by component path
+    * `closed`: component paths in the order in which they closed
+    * `snapshot`: the last `Situ.Diagnostics.Snapshot`, with messages, drops and latency of every edge
   """
-  # A snapshot is a page long; who wants it asks for it.
+  # A snapshot fills a page, so `inspect` leaves it out.
   @derive {Inspect, except: [:snapshot]}
   defstruct [
     :name,

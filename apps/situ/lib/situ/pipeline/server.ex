@@ -1,12 +1,12 @@
 defmodule Situ.Pipeline.Server do
   @moduledoc false
-  # The process of one pipeline, parent of its stages. It decides nothing about the life of the pipeline: it turns
-  # messages into events for `Situ.Lifecycle` and performs the actions that come back.
+  # The process of one pipeline and the parent of its stages. It makes no life-cycle decisions: it turns messages into
+  # events for `Situ.Lifecycle` and performs the actions that the life cycle returns.
   #
   #   caller/supervisor
   #     └── Server (traps exits)
-  #           ├── Stage 1    linked; when a stage dies, the life cycle decides by `on_error`
-  #           ├── Stage n    when the server dies, its stages release what they hold and end
+  #           ├── Stage 1    linked; if a stage dies, the life cycle decides by its `on_error`
+  #           ├── Stage n    if the server dies, its stages release their resources and end
   #           └── Handlers   linked; runs the functions given to `Situ.Pipeline.on/3`
   use GenServer
 
@@ -18,20 +18,20 @@ defmodule Situ.Pipeline.Server do
   alias Situ.Lifecycle.Errors
   alias Situ.Pipeline.{Checkpointing, Dynamic, Handlers, Inspection, Performer, Stages, State}
 
-  # Requests to a pipeline that is just starting wait until it runs.
+  # These requests wait until a starting pipeline is running.
   @patient [:extend, :subscription, :replace, :tap, :stop_part, :clock, :attach, :detach] ++
              [:checkpoint]
 
   @impl true
   def init(_), do: :ignore
 
-  # A start or a stop that fails half way cannot be finished, so the pipeline ends with the error.
+  # A start or a stop that fails halfway cannot be completed, so the pipeline ends with the error.
   @impl true
   def handle_call(request, from, state)
       when request in [:launch, :abandon] or (is_tuple(request) and elem(request, 0) == :stop),
       do: guard(state, fn -> answer(request, from, state) end)
 
-  # Any other request that raises leaves the state as it was, and the caller gets the error.
+  # Any other request that raises leaves the state unchanged, and the caller receives the error.
   def handle_call(request, from, state) do
     answer(request, from, state)
   catch
@@ -40,15 +40,15 @@ defmodule Situ.Pipeline.Server do
       {:reply, {:error, Errors.request_failed(request, {kind, reason, __STACKTRACE__})}, state}
   end
 
-  # Nobody has anything to cast; a stray one is no reason to end.
+  # No code sends casts; a stray one must not end the pipeline.
   @impl true
   def handle_cast(_message, state), do: {:noreply, state}
 
   @impl true
   def handle_info(message, state), do: guard(state, fn -> event(message, state) end)
 
-  # A step that fails half way leaves a state that nothing can be ended by in order: the pipeline ends with an error
-  # at once, and its components release what they hold.
+  # A step that fails halfway leaves a state from which no orderly end is possible. The pipeline ends with an error
+  # immediately, and its components release their resources.
   defp guard(state, step) do
     step.()
   catch
@@ -62,7 +62,7 @@ defmodule Situ.Pipeline.Server do
     over({:error, %{error | meta: %{errors: [error]}}}, %{state | life: life})
   end
 
-  # Questions
+  # Requests
 
   defp answer({:build, change}, _from, %{life: %{phase: :building}} = state) do
     {:reply, {:ok, Builder.run(state.handle, change)}, state}
@@ -97,7 +97,7 @@ defmodule Situ.Pipeline.Server do
   defp answer(:clock, _from, %{timing: nil} = state), do: {:reply, Clock.real(), state}
   defp answer(:clock, _from, state), do: {:reply, state.timing.clock, state}
 
-  # For pipelines inside of this one's components.
+  # Serves pipelines inside this pipeline's components.
   defp answer(:timing, _from, state),
     do: {:reply, Map.take(state.timing, [:clock, :enforce, :replay_end]), state}
 
@@ -113,7 +113,7 @@ defmodule Situ.Pipeline.Server do
 
   defp answer({:trace, time}, _from, state), do: {:reply, Inspection.trace(state, time), state}
 
-  # The first error so far, for those inside who tell others why their stream ends.
+  # Returns the first error so far, for components that report to others why their stream ends.
   defp answer(:failure, _from, state), do: {:reply, {:ok, List.last(state.life.errors)}, state}
 
   defp answer(:progress, _from, state) do
@@ -121,7 +121,7 @@ defmodule Situ.Pipeline.Server do
     {:reply, state.view.progress, state}
   end
 
-  # The answers of a supervisor.
+  # These two requests make the pipeline look like a supervisor.
   defp answer(:which_children, _from, state), do: {:reply, Stages.children(state), state}
 
   defp answer(:count_children, _from, state) do
@@ -184,7 +184,7 @@ defmodule Situ.Pipeline.Server do
     end
   end
 
-  # Nothing waits for the clock: it cannot hold anything up.
+  # Without pacing no message waits for the clock, so the clock cannot be controlled.
   defp running({:clock, _change}, _from, %{timing: %{enforce: false}} = state),
     do: {:reply, {:error, Errors.unpaced()}, state}
 
@@ -236,8 +236,8 @@ defmodule Situ.Pipeline.Server do
     apply_event(state, {:watched, which, seen})
   end
 
-  # The module that built it has a new version: it is built again, elsewhere, for its functions. Before the
-  # graph is planned no stage can take them, so the message waits.
+  # The module that built the pipeline has a new version, so another process builds it again to obtain its functions.
+  # No stage can use them before the graph is planned; until then the message is deferred.
   defp event(:situ_reloaded, %{life: %{step: step}} = state) when step in [:build, :handlers],
     do: {:noreply, later(:situ_reloaded, state)}
 
@@ -273,7 +273,7 @@ defmodule Situ.Pipeline.Server do
 
   defp event(_other, state), do: {:noreply, state}
 
-  # The last words of a stage that is gone.
+  # A stage that was already dropped sent this message before it ended.
   defp stage(_event, id, %{stages: stages} = state) when not is_map_key(stages, id),
     do: {:noreply, state}
 
@@ -322,7 +322,7 @@ defmodule Situ.Pipeline.Server do
 
   defp stage(:finalized, _id, state), do: {:noreply, state}
 
-  # On
+  # Results
 
   defp apply_event(state, event), do: state |> Performer.apply(event) |> done()
 
@@ -353,7 +353,8 @@ defmodule Situ.Pipeline.Server do
     end
   end
 
-  # Abnormal, so that a supervisor restarts it; by a signal, since the error itself is in the log already.
+  # The exit is abnormal, so that a supervisor restarts the pipeline. It uses a signal, because the error is already in
+  # the log.
   defp fall(error) do
     Process.flag(:trap_exit, false)
     Process.exit(self(), {:pipeline_failed, error.code, error.what})
@@ -362,14 +363,14 @@ defmodule Situ.Pipeline.Server do
   defp publish(%{mode: :run, reply: {caller, reply}}, result), do: send(caller, {reply, result})
   defp publish(_settings, result), do: Results.put(self(), result)
 
-  # A crash report names the pipeline; its graph has no place in a log.
+  # A crash report names the pipeline but leaves out its graph, which would flood the log.
   @impl true
   def format_status(_reason, [_dictionary, state]) do
     summary = %{pipeline: state.settings.name, phase: state.life.phase, step: state.life.step}
     [data: [{~c"State", summary}]]
   end
 
-  # The parent asks us to go (a supervisor shutting down): stop as by hand, within the time it gives.
+  # The parent, a supervisor that shuts down, ends the pipeline: stop as if by hand, within the time that it allows.
   @impl true
   def terminate(_reason, %{life: %{phase: :completed}}), do: :ok
 

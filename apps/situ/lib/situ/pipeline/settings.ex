@@ -15,39 +15,42 @@ defmodule Situ.Pipeline.Settings do
       default: [],
       doc: "`interval: {from | :unbounded, to | :unbounded}` and `speed:` (a number, or `:max`)."
     ],
-    clock: [type: :any, doc: "A `Situ.Clock` to run by (tests: `Situ.Clock.manual/1`)."],
+    clock: [
+      type: :any,
+      doc: "The `Situ.Clock` of the pipeline (in tests, `Situ.Clock.manual/1`)."
+    ],
     default_policy: [
       type: {:struct, Situ.Delivery},
-      doc: "For connections without a policy of their own; default `Situ.Delivery.unlimited()`."
+      doc: "The policy of connections without their own; default `Situ.Delivery.unlimited()`."
     ],
     diagnostics: [
       type: {:or, [:boolean, :keyword]},
       default: false,
-      doc: "Adds the Diagnostics stream (`interval:` ns between snapshots, default 100 ms)."
+      doc: "Adds the Diagnostics stream (`interval:` in ns between snapshots, default 100 ms)."
     ],
     resume: [
       type: :map,
       default: %{},
       doc:
-        "A checkpoint of `checkpoint/3`: its components continue from there, all others start anew."
+        "A checkpoint of `checkpoint/3`; its components continue from there, all others start fresh."
     ],
     averaging: [
       type: :pos_integer,
       default: 1_000_000_000,
-      doc: "The span of the windowed statistics in diagnostics, ns."
+      doc: "The span of the windowed statistics in diagnostics, in ns."
     ],
     message_sizes: [
       type: :boolean,
       default: false,
       doc:
-        "Measures the size of every message for diagnostics: cheap for binaries, costly for large terms."
+        "Measures the size of every message for diagnostics: cheap for binaries, expensive for large terms."
     ],
     max_restarts: [
       type: :non_neg_integer,
       default: 3,
       doc:
-        "How often a component may restart within `max_seconds` (its process died, or it raised under " <>
-          "`on_error: :restart`); one more is an error that ends the pipeline."
+        "How often a component may restart within `max_seconds` (after its process died, or after an exception " <>
+          "under `on_error: :restart`); one more restart is an error that ends the pipeline."
     ],
     max_seconds: [
       type: :pos_integer,
@@ -62,7 +65,7 @@ defmodule Situ.Pipeline.Settings do
     stop_timeout: [
       type: :pos_integer,
       default: 30_000,
-      doc: "Milliseconds without any progress after which a stop kills the stuck components."
+      doc: "Milliseconds without progress after which a stop kills the stuck components."
     ]
   ]
 
@@ -129,7 +132,7 @@ defmodule Situ.Pipeline.Settings do
   defp label(name) when is_binary(name), do: name
   defp label(name), do: name |> Atom.to_string() |> String.replace_prefix("Elixir.", "")
 
-  # A clock that is given is there to be waited for.
+  # An explicit clock implies that messages should wait for it.
   defp default_speed(:run, nil), do: :max
   defp default_speed(_mode, _clock), do: 1.0
 
@@ -145,8 +148,8 @@ defmodule Situ.Pipeline.Settings do
       do: :ok,
       else:
         {:error,
-         Error.new(:bad_interval, "not a replay interval: #{inspect({from, to})}",
-           fix: "give {from, to}, each a time in ns or :unbounded, from <= to"
+         Error.new(:bad_interval, "invalid replay interval: #{inspect({from, to})}",
+           fix: "use {from, to}, each a time in ns or :unbounded, with from <= to"
          )}
   end
 
@@ -171,7 +174,7 @@ defmodule Situ.Pipeline.Settings do
 
   defp not_a_pipeline(spec) do
     Error.new(:not_a_pipeline, "#{inspect(spec)} is not a pipeline",
-      fix: "give a module that uses Situ.Pipeline, or a function of one argument"
+      fix: "use a module that uses Situ.Pipeline, or a function of one argument"
     )
   end
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Pipeline.Stages do
   @moduledoc false
-  # The processes of a pipeline: spawned, wired, measured. Carries out what the life cycle decides; decides nothing.
+  # Spawns, wires and measures the processes of a pipeline. Carries out the decisions of the life cycle.
   alias Situ.{Clock, Lifecycle, Stage}
   alias Situ.Application.Reaper
   alias Situ.Graph.{Edge, Plan, Vertex}
@@ -8,7 +8,7 @@ defmodule Situ.Pipeline.Stages do
   alias Situ.Pipeline.State
   alias Situ.Ports.{Counters, Output, Tally}
 
-  @doc "Makes the links, counters and stage entries of a plan, and the members for the life cycle."
+  @doc "Builds the links, counters and stage entries of a plan, and the members for the life cycle."
   @spec lay_out(State.t(), Plan.t()) :: {State.t(), %{pos_integer() => Member.t()}}
   def lay_out(state, plan) do
     Reaper.watch(self())
@@ -16,7 +16,7 @@ defmodule Situ.Pipeline.Stages do
   end
 
   @doc """
-  The same for stages that are added; `lent`: the stages that the sources of edges from outside of the plan are in.
+  Adds the stages of a plan to the state. `lent` maps edges from outside the plan to the stages of their sources.
   """
   @spec add(State.t(), Plan.t(), %{pos_integer() => pos_integer()}, keyword()) ::
           {State.t(), %{pos_integer() => Member.t()}}
@@ -44,7 +44,7 @@ defmodule Situ.Pipeline.Stages do
     {%{state | stages: Map.merge(state.stages, stages), wires: wires}, members}
   end
 
-  # The edge from a component into the operators that share its process is counted like a queue.
+  # The edge from a component to the operators that share its process has counters like a queue.
   defp heads(plan) do
     for %{vertices: [%{module: module, id: id}, _ | _]} <- plan.stages,
         module != :operator,
@@ -60,12 +60,12 @@ defmodule Situ.Pipeline.Stages do
     end)
   end
 
-  @doc "An edge with the stages that it joins instead of vertices."
+  @doc "Returns a link: an edge with stages as its ends instead of vertices."
   @spec link(Edge.t(), pos_integer(), pos_integer()) :: map()
   def link(%Edge{from: {_, output}, to: {_, input}} = edge, from, to),
     do: %{id: edge.id, from: from, output: output, to: to, input: input, policy: edge.policy}
 
-  @doc "A stage that has no process yet."
+  @doc "Builds the entry of a stage without a process."
   @spec entry(pos_integer(), [Vertex.t(), ...], Counters.t() | nil) :: State.stage()
   def entry(id, vertices, tail \\ nil) do
     control = :atomics.new(2, signed: true)
@@ -83,14 +83,14 @@ defmodule Situ.Pipeline.Stages do
     }
   end
 
-  # Only what may be spawned again has to know how far it came.
+  # Only a stage that can be spawned again has to record how far it has come.
   defp marks([%{on_error: :stop, unit: unit} | _]) when unit == nil or elem(unit, 1) == :close,
     do: nil
 
   defp marks(vertices),
     do: vertices |> Enum.map(&length(&1.outputs)) |> Enum.sum() |> Output.marks()
 
-  @doc "The life cycle's record of a stage."
+  @doc "Builds the life cycle's record of a stage."
   @spec member(State.stage(), keyword()) :: Member.t()
   def member(%{id: id, vertices: [head | _]}, extra \\ []) do
     base = %Member{
@@ -104,7 +104,7 @@ defmodule Situ.Pipeline.Stages do
     struct!(base, extra)
   end
 
-  @doc "A process for each, new or again."
+  @doc "Spawns a process for each stage, for the first time or again."
   @spec spawn(State.t(), [pos_integer()]) :: State.t()
   def spawn(state, ids), do: Enum.reduce(ids, state, &spawn_one/2)
 
@@ -128,13 +128,13 @@ defmodule Situ.Pipeline.Stages do
     %{state | stages: stages, pids: Map.put(state.pids, pid, id)}
   end
 
-  # One that is spawned again starts with a fresh state, as its `on_error` says.
+  # A stage that is spawned again starts with a fresh state, as its `on_error` specifies.
   defp memory(%{life: %{phase: :starting}} = state, %{vertices: [head | _]}),
     do: state.settings.resume[head.path]
 
   defp memory(_state, _stage), do: nil
 
-  @doc "The stages get to know clock and neighbours, and start."
+  @doc "Sends the stages their clock and neighbours, and starts them."
   @spec start(State.t(), [pos_integer()]) :: State.t()
   def start(state, ids) do
     links = Map.values(state.wires.links)
@@ -155,7 +155,7 @@ defmodule Situ.Pipeline.Stages do
     end
   end
 
-  # One that is spawned again began when it was spawned first: what it repeats has the same times.
+  # A stage that is spawned again keeps its first start time, so that repeated messages have the same times.
   defp wiring(state, id, {into, out_of}, now) do
     counters = state.wires.counters
 
@@ -189,7 +189,7 @@ defmodule Situ.Pipeline.Stages do
     })
   end
 
-  @doc "A restarted stage is made known to its neighbours."
+  @doc "Informs the neighbours of a restarted stage about its new process."
   @spec rewire(State.t(), pos_integer(), [{term(), map()}]) :: State.t()
   def rewire(state, id, links) do
     pid = state.stages[id].pid
@@ -197,7 +197,7 @@ defmodule Situ.Pipeline.Stages do
     for {tag, link} <- links, link.from != link.to do
       other = state.stages[if(link.from == id, do: link.to, else: link.from)].pid
       send(other, {:situ, {:peer, tag, pid}})
-      # One that starts as well asks by itself.
+      # A stage that is starting, too, asks by itself.
       asks? = not state.life.stages[link.to].again? and state.life.phase != :starting
       if link.from == id and asks?, do: send(other, {:situ, {:ask, tag}})
     end
@@ -206,7 +206,7 @@ defmodule Situ.Pipeline.Stages do
   end
 
   @doc """
-  Sends a stage a request. A stage that was dropped gets none: callers that waited for its answer were answered then.
+  Sends a request to a stage. A dropped stage receives none; its waiting callers got a reply when it was dropped.
   """
   @spec tell(State.t(), pos_integer(), term()) :: State.t()
   def tell(state, id, request) do
@@ -237,7 +237,7 @@ defmodule Situ.Pipeline.Stages do
   def unwire(%{wires: %{links: links, counters: counters}} = state, tag),
     do: %{state | wires: %{links: Map.delete(links, tag), counters: Map.delete(counters, tag)}}
 
-  @doc "These stages ignore messages later than `time`; a stage with an earlier limit keeps it."
+  @doc "Makes these stages ignore messages later than `time`; a stage with an earlier limit keeps it."
   @spec cut(State.t(), [pos_integer()], Situ.Time.t()) :: State.t()
   def cut(state, ids, time) do
     for id <- ids,
@@ -253,7 +253,7 @@ defmodule Situ.Pipeline.Stages do
   def release(state, ids),
     do: Enum.reduce(ids, cut(state, ids, Stage.never() - 1), &tell(&2, &1, :clock))
 
-  @doc "The earliest time that the consumers of stage `id` have reached; later messages of it may be lost."
+  @doc "Returns the earliest time that the consumers of stage `id` have reached; its later messages may be lost."
   @spec reached(State.t(), pos_integer()) :: Situ.Time.t() | nil
   def reached(state, id) do
     times =
@@ -266,7 +266,7 @@ defmodule Situ.Pipeline.Stages do
     Enum.min(times, fn -> nil end)
   end
 
-  @doc "Whether no message is on its way between its processes."
+  @doc "Returns whether no messages are in flight between the pipeline's processes."
   @spec quiet?(State.t()) :: boolean()
   def quiet?(state) do
     Enum.all?(state.life.links.active, fn {tag, _} ->
@@ -275,7 +275,7 @@ defmodule Situ.Pipeline.Stages do
     end)
   end
 
-  @doc "A value that differs as soon as any message has moved, in the whole pipeline or in one part."
+  @doc "Returns a value that changes when any message moves, in the whole pipeline or in one part."
   @spec fingerprint(State.t(), :all | reference()) :: term()
   def fingerprint(state, :all) do
     flows = for {_, ref} <- state.wires.counters, do: Counters.flow(ref)
@@ -294,11 +294,11 @@ defmodule Situ.Pipeline.Stages do
     end
   end
 
-  @doc "The stages that wait for a message and have none."
+  @doc "Returns the stages that wait for a message and have none."
   @spec idle(State.t()) :: MapSet.t(pos_integer())
   def idle(state), do: for({id, stage} <- state.stages, idle?(stage), into: MapSet.new(), do: id)
 
-  @doc "Whether a stage waits for the outside world or for the clock: such a wait has no limit."
+  @doc "Returns whether a stage waits for the outside world or for the clock; such a wait has no limit."
   @spec patient?(State.t()) :: boolean()
   def patient?(state),
     do: Enum.any?(state.stages, fn {_, stage} -> Stage.patient?(stage.control) end)
@@ -313,7 +313,7 @@ defmodule Situ.Pipeline.Stages do
     end
   end
 
-  @doc "The stages in the form of `Supervisor.which_children/1`."
+  @doc "Returns the stages in the form of `Supervisor.which_children/1`."
   @spec children(State.t()) :: [{String.t(), pid() | :undefined, :worker, [module()]}]
   def children(state) do
     for {id, %{vertices: [head | _], pid: pid}} <- Enum.sort(state.stages) do
@@ -323,7 +323,7 @@ defmodule Situ.Pipeline.Stages do
     end
   end
 
-  @doc "Whether the pipeline is quiet or busy, and its fingerprint; for the wait until a cycle has settled."
+  @doc "Measures whether the pipeline is quiet or busy, and its fingerprint, for the wait until a cycle has settled."
   @spec look(State.t()) :: map()
   def look(state) do
     if quiet?(state) do

@@ -2,11 +2,13 @@ defmodule Situ.Pipeline.State do
   @moduledoc false
   # The state of a pipeline's server.
   #
-  #   life      the life cycle, a pure state machine; stages: what runs, by id; pids: whose process is which
-  #   links     connections between stages, with their policies; counters: their numbers, in shared memory
-  #   dynamic   requests under way that change the running pipeline
-  #   view      what is remembered for those who look: Situ.Pipeline.Inspection
-  #   waiters   who waits for the end; early: messages that wait for the plan, or until it runs
+  #   life      the life cycle, a pure state machine
+  #   stages    the stages by id; pids: the stage of each process
+  #   wires     links: connections between stages with their policies; counters: their counters, in shared memory
+  #   dynamic   pending requests that change the running pipeline
+  #   view      the data kept for inspection: Situ.Pipeline.Inspection
+  #   waiters   callers that wait for the end
+  #   early     messages deferred until the graph is planned, or until the pipeline is running
   alias Situ.{Error, Graph, Lifecycle, Options}
   alias Situ.Clock.Timing
   alias Situ.Lifecycle.{Errors, Growth}
@@ -80,15 +82,15 @@ defmodule Situ.Pipeline.State do
     }
   end
 
-  @doc "The pipeline's time; wall time before it has a clock."
+  @doc "Returns the pipeline's time; wall time before it has a clock."
   @spec now(t()) :: Situ.Time.t()
   def now(%{timing: nil}), do: :os.system_time()
   def now(state), do: Situ.Clock.now(state.timing.clock)
 
-  # Where the parts of a running pipeline are: which vertex and output a stream is of, in which stage, how far down its
-  # chain.
+  # The following functions find the parts of a running pipeline: the vertex and output of a stream, and its stage and
+  # position in the chain.
 
-  @doc "Vertex and output of a stream, given as that or by its name."
+  @doc "Returns the vertex and output of a stream, given as that pair or by name."
   @spec port(t(), port_id() | String.t()) :: {:ok, port_id()} | {:error, Error.t()}
   def port(state, {id, output}) do
     if Map.has_key?(state.graph.vertices, id),
@@ -105,7 +107,7 @@ defmodule Situ.Pipeline.State do
     end
   end
 
-  @doc "A component, given as a node or by its path."
+  @doc "Returns the vertex of a component, given as a node or by path."
   @spec vertex(t(), Situ.Node.t() | String.t()) ::
           {:ok, Situ.Graph.Vertex.t()} | {:error, Error.t()}
   def vertex(state, %Situ.Node{id: id, path: path}) do
@@ -126,7 +128,7 @@ defmodule Situ.Pipeline.State do
     end
   end
 
-  @doc "The running stage that a vertex is in, and its index there."
+  @doc "Returns the running stage that contains a vertex, and the vertex's index in it."
   @spec stage(t(), pos_integer()) ::
           {:ok, stage(), non_neg_integer()} | {:error, Error.t()}
   def stage(state, id) do
@@ -143,7 +145,7 @@ defmodule Situ.Pipeline.State do
     end
   end
 
-  @doc "The stage whose output the vertex' is, if it is not inside of a chain."
+  @doc "Returns the stage whose output is the vertex's output; an error if the vertex is inside a chain."
   @spec outlet(t(), pos_integer()) :: {:ok, stage()} | {:error, Error.t()}
   def outlet(state, id) do
     with {:ok, stage, index} <- stage(state, id) do
@@ -153,12 +155,12 @@ defmodule Situ.Pipeline.State do
     end
   end
 
-  @typedoc "A part to stop: the ids of its running stages, and of the stages to forget when they have ended."
+  @typedoc "A part to stop: the ids of its running stages, and of the stages to remove after they have ended."
   @type part :: %{ids: [pos_integer()], forget: [pos_integer()]}
 
   @doc """
-  Returns the stages below `path`, a composite's or a component's. A part can be stopped only if some of it runs and is
-  not being stopped already; it can be removed whether any of it runs or not.
+  Returns the stages below `path`, a composite or a component. A part can be stopped only if at least one of its stages
+  is running and is not being stopped already. It can be removed in any state.
   """
   @spec part(t(), String.t(), boolean()) :: {:ok, part()} | {:error, Error.t()}
   def part(state, path, forget?) do
@@ -177,7 +179,7 @@ defmodule Situ.Pipeline.State do
     end
   end
 
-  # A removed stage stays until its process has ended; other stages may have taken its names meanwhile.
+  # A removed stage stays until its process has ended, while other stages may already use its names.
   defp inside?(%{vertices: [head | _] = vertices}, path, graph),
     do: is_map_key(graph.vertices, head.id) and Enum.any?(vertices, &within?(&1, path))
 
@@ -201,7 +203,7 @@ defmodule Situ.Pipeline.State do
 
   defp ended(path) do
     Error.new(:not_running, "#{path} has ended, or is being stopped",
-      fix: "to take it out of the pipeline, call Situ.Pipeline.remove/3"
+      fix: "to remove it from the pipeline, call Situ.Pipeline.remove/3"
     )
   end
 
@@ -214,8 +216,8 @@ defmodule Situ.Pipeline.State do
   defp inside(path) do
     Error.new(
       :inside_chain,
-      "#{path} runs inside a chain of operators and has no output of its own",
-      fix: "give it a process of its own with async: true, or look at it with Situ.attach_tap/3"
+      "#{path} runs inside a chain of operators and has no output outside its process",
+      fix: "run it in a separate process with async: true, or inspect it with Situ.attach_tap/3"
     )
   end
 
@@ -224,9 +226,9 @@ defmodule Situ.Pipeline.State do
 
     Error.new(
       :shared_process,
-      "#{hd(inside).path} runs in one process with #{hd(outside).path}, which is not of #{path}",
-      why: "a process ends as a whole",
-      fix: "give the later of the two async: true, or no synchronous policy",
+      "#{hd(inside).path} shares a process with #{hd(outside).path}, which is not part of #{path}",
+      why: "a process can only end as a whole",
+      fix: "give the later one async: true, or a policy that is not synchronous",
       meta: %{component: path}
     )
   end

@@ -1,7 +1,7 @@
 defmodule Situ.Ports.Counters do
   @moduledoc false
-  # The numbers of one edge, in shared memory: written once per batch by its two ends, read by anyone at any time.
-  # Latency goes into a histogram of four buckets per power of two, so p99 is right within 25 %.
+  # The counters of one edge, in shared memory. The two ends write once per batch, and any process can read at any time.
+  # Latency goes into a histogram with four buckets per power of two, so p99 is accurate within 25 %.
 
   alias Situ.Message
   alias Situ.Ports.Trail
@@ -35,7 +35,7 @@ defmodule Situ.Ports.Counters do
   @most_us 3_600_000_000
 
   @type t :: :atomics.atomics_ref()
-  @typedoc "Everything that only grows (or is a sum): two of them apart tell what was in between."
+  @typedoc "The counters and sums that only grow; the difference of two of them covers the time in between."
   @type totals :: %{
           emitted: non_neg_integer(),
           processed: non_neg_integer(),
@@ -52,7 +52,7 @@ defmodule Situ.Ports.Counters do
   @spec new() :: t()
   def new, do: :atomics.new(@taken + Trail.words(), signed: true)
 
-  @doc "`n` messages were handed over; the last was `created` and `posted` so many ns after its originating time."
+  @doc "Counts `n` emitted messages; the last was created and posted `created` and `posted` ns after its time."
   @spec emitted(t(), pos_integer(), integer(), integer()) :: :ok
   def emitted(ref, n, created, posted) do
     :atomics.put(ref, @created_last, created)
@@ -62,32 +62,32 @@ defmodule Situ.Ports.Counters do
     :atomics.add(ref, @emitted, n)
   end
 
-  @doc "The producer waits for this edge (1) or not (0)."
+  @doc "Sets whether the producer waits for this edge (1) or not (0)."
   @spec waiting(t(), 0 | 1) :: :ok
   def waiting(ref, flag), do: :atomics.put(ref, @waiting, flag)
 
-  @doc "`n` messages are held back at the producer, under a lossy policy."
+  @doc "Sets how many messages a lossy policy holds back at the producer."
   @spec held(t(), non_neg_integer()) :: :ok
   def held(ref, n), do: :atomics.put(ref, @held, n)
 
-  @doc "How many messages are held back at the producer."
+  @doc "Returns how many messages are held back at the producer."
   @spec held(t()) :: non_neg_integer()
   def held(ref), do: :atomics.get(ref, @held)
 
-  @doc "The consumer wants all that is held back, at once."
+  @doc "Requests all messages that are held back, immediately."
   @spec want(t()) :: :ok
   def want(ref), do: :atomics.put(ref, @wanted, 1)
 
-  @doc "Whether the consumer wants that, and nobody has answered yet; whoever learns it has to answer."
+  @doc "Returns whether the consumer has such a request, and clears it; the caller must then reply to the consumer."
   @spec wanted?(t()) :: boolean()
   def wanted?(ref),
     do: :atomics.get(ref, @wanted) == 1 and :atomics.compare_exchange(ref, @wanted, 1, 0) == :ok
 
-  @doc "The policy dropped `n`."
+  @doc "Counts `n` messages that the policy dropped."
   @spec dropped(t(), pos_integer()) :: :ok
   def dropped(ref, n), do: :atomics.add(ref, @dropped, n)
 
-  @doc "Messages arrived: how large they are."
+  @doc "Counts the sizes of messages that arrived."
   @spec sized(t(), [Message.t()]) :: :ok
   def sized(ref, messages) do
     {n, sum, last} = Enum.reduce(messages, {0, 0, 0}, &weigh/2)
@@ -101,7 +101,7 @@ defmodule Situ.Ports.Counters do
     {n + 1, sum + size, size}
   end
 
-  @doc "`n` messages were taken, the last of them `latency` old; handling all took `busy` ns."
+  @doc "Counts `n` handled messages; the last had a latency of `latency` ns, and handling all of them took `busy` ns."
   @spec processed(t(), pos_integer(), integer(), integer()) :: :ok
   def processed(ref, n, latency, busy) do
     :atomics.put(ref, @latency_last, latency)
@@ -114,33 +114,33 @@ defmodule Situ.Ports.Counters do
     if waits > 0, do: :atomics.add(ref, @queue_sum, waits * n), else: :ok
   end
 
-  @doc "At clock time `at` everything up to the originating time `time` had been handed over."
+  @doc "Records that all messages up to the originating time `time` were handed over by clock time `at`."
   @spec sent(t(), Situ.Time.t(), Situ.Time.t()) :: :ok
   def sent(ref, time, at), do: Trail.note(ref, @sent, time, at)
 
-  @doc "The consumer has reached the originating time `time`; it took that message at clock time `at`."
+  @doc "Records that the consumer took the message of the originating time `time` at clock time `at`."
   @spec reached(t(), Situ.Time.t(), Situ.Time.t()) :: :ok
   def reached(ref, time, at) do
     :atomics.put(ref, @reached, time)
     Trail.note(ref, @taken, time, at)
   end
 
-  @doc "When the originating time `time` was handed over, and when it was taken."
+  @doc "Returns when the originating time `time` was handed over, and when it was taken."
   @spec passage(t(), Situ.Time.t()) :: {passed, passed}
         when passed: Situ.Time.t() | :forgotten | nil
   def passage(ref, time), do: {Trail.passed(ref, @sent, time), Trail.passed(ref, @taken, time)}
 
-  @doc "The originating time of the last `reached/3`; 0 before the first."
+  @doc "Returns the originating time of the last `reached/3`; 0 before the first."
   @spec last_time(t()) :: integer()
   def last_time(ref), do: :atomics.get(ref, @reached)
 
-  @doc "Emitted, processed, dropped: equal sums mean nothing is on its way."
+  @doc "Returns the emitted, processed and dropped counts; no messages are in flight if the first equals their sum."
   @spec flow(t()) :: {non_neg_integer(), non_neg_integer(), non_neg_integer()}
   def flow(ref) do
     {:atomics.get(ref, @emitted), :atomics.get(ref, @processed), :atomics.get(ref, @dropped)}
   end
 
-  @doc "The counters that only grow; latencies in microseconds, as sums over messages."
+  @doc "Returns the counters that only grow; latencies are sums over messages, in microseconds."
   @spec totals(t()) :: totals()
   def totals(ref) do
     {emitted, processed, dropped} = flow(ref)
@@ -160,7 +160,7 @@ defmodule Situ.Ports.Counters do
     }
   end
 
-  @doc "The current and the last values, as a map with keys of `Situ.Diagnostics.Edge`."
+  @doc "Returns the current and the last values as a map with the keys of `Situ.Diagnostics.Edge`."
   @spec read(t(), totals()) :: map()
   def read(ref, totals) do
     %{emitted: emitted, processed: processed, dropped: dropped} = totals
@@ -183,7 +183,7 @@ defmodule Situ.Ports.Counters do
 
   defp microseconds(ns), do: ns |> div(1000) |> min(@most_us) |> max(-@most_us)
 
-  @doc "Upper bound, in ns, of the bucket in which the quantile lies."
+  @doc "Returns the upper bound, in ns, of the bucket that contains the quantile."
   @spec quantile(t(), non_neg_integer(), float()) :: non_neg_integer()
   def quantile(_ref, 0, _q), do: 0
   def quantile(ref, count, q), do: seek(ref, 0, ceil(count * q))

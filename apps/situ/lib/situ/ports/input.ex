@@ -1,10 +1,11 @@
 defmodule Situ.Ports.Input do
   @moduledoc false
-  # One connected input of a running component: what waits, under its policy, and the demand it owes its producer.
+  # One connected input of a running component: its waiting messages under its policy, and the demand it owes its
+  # producer.
   #
-  # Under a lossy policy there are two queues: what was asked for waits here, the rest at the producer (see
-  # Subscriber). After something slow the producer is asked for all it has before the next message is taken, so that
-  # the policy applies to all that has been emitted.
+  # Under a lossy policy there are two queues: requested messages wait here, the others at the producer (see
+  # Subscriber). After a slow callback, the producer is asked for all its messages before the next one is taken, so that
+  # the policy applies to everything that was emitted.
   alias Situ.{Delivery, Error, Message, Type}
   alias Situ.Delivery.Queue
   alias Situ.Ports.{Counters, Window}
@@ -33,10 +34,10 @@ defmodule Situ.Ports.Input do
   ]
 
   @typedoc """
-  `front` and `rear` (reversed batches) hold what waits under a lossless policy, `queue` under a lossy one. `held`:
-  timer and token while the component wants nothing from it. `fresh` (lossy): when what waits was known to be the
-  newest, or `:asked`, or `:sure` for the next take. `handled`: how many messages were handled since the last
-  settling, the latency and originating time of the last, ns spent.
+  `front` and `rear` (reversed batches) hold waiting messages under a lossless policy, `queue` under a lossy one. `held`
+  is a timer and token while the component pauses the input. `fresh` (lossy only) is the time at which the waiting
+  messages were known to be the newest, or `:asked`, or `:sure` for the next take. `handled` holds the number of
+  messages handled since the last publication, the latency and originating time of the last one, and the ns spent.
   """
   @type t :: %__MODULE__{
           name: atom(),
@@ -70,18 +71,18 @@ defmodule Situ.Ports.Input do
     }
   end
 
-  @doc "Asks for the first messages."
+  @doc "Requests the first messages from the producer."
   @spec open(t()) :: term()
   def open(%__MODULE__{} = input), do: ask(input, input.window.size)
 
   defp ask(input, n), do: send(input.producer, {:"$gen_producer", {self(), input.tag}, {:ask, n}})
 
-  @doc "The producer is another process now."
+  @doc "Replaces the producer's process."
   @spec replace(t(), pid()) :: t()
   def replace(%__MODULE__{} = input, pid),
     do: %{input | producer: pid, window: Window.renew(input.window), fresh: 0}
 
-  @doc "A batch arrived."
+  @doc "Adds a batch that arrived."
   @spec push(t(), [Message.t()]) :: t()
   def push(%__MODULE__{} = input, []), do: input
 
@@ -103,7 +104,7 @@ defmodule Situ.Ports.Input do
     %{input | queue: queue, window: Window.owe(input.window, owed)}
   end
 
-  @doc "All that the producer held back arrived: now what waits is the newest."
+  @doc "Adds all messages that the producer held back; the waiting messages are then the newest."
   @spec refreshed(t(), [Message.t()]) :: t()
   def refreshed(%__MODULE__{queue: nil} = input, messages), do: push(input, messages)
 
@@ -112,7 +113,7 @@ defmodule Situ.Ports.Input do
     %{push(input, messages) | window: window, fresh: :sure}
   end
 
-  @doc "The closing mark arrived."
+  @doc "Adds the closing mark."
   @spec push_closed(t(), Situ.Time.t()) :: t()
   def push_closed(%__MODULE__{queue: nil} = input, time) do
     {late, rest} = input |> waiting() |> Enum.split_while(&(&1.originating_time > time))
@@ -126,11 +127,11 @@ defmodule Situ.Ports.Input do
     %{input | queue: queue, fresh: :sure}
   end
 
-  @doc "Whether it drops."
+  @doc "Returns whether the input may drop messages."
   @spec lossy?(t()) :: boolean()
   def lossy?(%__MODULE__{queue: queue}), do: queue != nil
 
-  @doc "The originating time of the head, or `:none`."
+  @doc "Returns the originating time of the head, or `:none`."
   @spec head_time(t()) :: Situ.Time.t() | :none
   def head_time(%__MODULE__{held: {_timer, _token}}), do: :none
   def head_time(%__MODULE__{queue: nil, front: [head | _]}), do: time_of(head)
@@ -148,7 +149,7 @@ defmodule Situ.Ports.Input do
     end
   end
 
-  @doc "Before a message of a lossy input is taken: `:wait` when the producer is asked for newer ones first."
+  @doc "Prepares to take a message; returns `:wait` if the producer of a lossy input is first asked for newer ones."
   @spec freshen(t()) :: {:ok | :wait, t()}
   def freshen(%__MODULE__{queue: nil} = input), do: {:ok, input}
   def freshen(%__MODULE__{queue: %{policy: %{throttle: true}}} = input), do: {:ok, input}
@@ -191,14 +192,14 @@ defmodule Situ.Ports.Input do
     {taken, %{input | front: rest}}
   end
 
-  @doc "Messages that were taken, but not handled, wait again in front of the others."
+  @doc "Puts messages that were taken but not handled back at the front of the queue."
   @spec put_back(t(), [Message.t()]) :: t()
   def put_back(%__MODULE__{} = input, []), do: input
 
   def put_back(%__MODULE__{queue: nil} = input, messages),
     do: %{input | front: messages ++ input.front}
 
-  @doc "Throws away all that waits; answers the time of the closing mark if there was one."
+  @doc "Discards all waiting messages; returns the time of the closing mark if there was one."
   @spec discard(t()) :: {Situ.Time.t() | nil, t()}
   def discard(%__MODULE__{} = input) do
     {messages, rest} = input |> waiting() |> Enum.split_while(&is_struct/1)
@@ -208,23 +209,23 @@ defmodule Situ.Ports.Input do
     {closed, skip(input, n)}
   end
 
-  @doc "Counts `n` messages as handled, the last of them from `time`; `settle/1` publishes."
+  @doc "Counts `n` messages as handled, the last at `time`; `settle/1` publishes the counts."
   @spec handled(t(), pos_integer(), Situ.Time.t(), {now :: Situ.Time.t(), busy :: integer()}) ::
           t()
   def handled(%__MODULE__{handled: {taken, _, _, spent}} = input, n, time, {now, busy}),
     do: %{input | handled: {taken + n, now - time, time, spent + busy}}
 
-  @doc "Whether there is nothing to publish and nothing to ask for."
+  @doc "Returns whether there are no counts to publish and no demand to send."
   @spec settled?(t()) :: boolean()
   def settled?(%__MODULE__{handled: @nothing, window: %{owed: 0}}), do: true
   def settled?(%__MODULE__{}), do: false
 
-  @doc "Whether nothing waits in it."
+  @doc "Returns whether no messages wait in the input."
   @spec empty?(t()) :: boolean()
   def empty?(%__MODULE__{queue: nil, front: front, rear: rear}), do: front == [] and rear == []
   def empty?(%__MODULE__{queue: %{size: size}}), do: size == 0
 
-  @doc "Publishes counts, and asks the producer for more when it is time."
+  @doc "Publishes the counts, and sends demand to the producer when enough is owed."
   @spec settle(t()) :: t()
   def settle(%__MODULE__{handled: {taken, latency, reached, busy}, window: window} = input) do
     if taken > 0 do
@@ -238,14 +239,14 @@ defmodule Situ.Ports.Input do
     %{input | handled: @nothing, window: window}
   end
 
-  @doc "How many messages were taken, as far as the counters know."
+  @doc "Returns how many messages were taken according to the counters."
   @spec taken(t()) :: non_neg_integer()
   def taken(%__MODULE__{counters: counters}) do
     {_emitted, processed, dropped} = Counters.flow(counters)
     processed + dropped
   end
 
-  @doc "Taken, but of no use: `n` messages are dropped, and the producer gets its demand back."
+  @doc "Counts `n` taken messages as dropped and returns their demand to the producer."
   @spec skip(t(), non_neg_integer()) :: t()
   def skip(%__MODULE__{} = input, n) do
     drop(input, n)
@@ -255,7 +256,7 @@ defmodule Situ.Ports.Input do
   defp drop(_input, 0), do: :ok
   defp drop(input, n), do: Counters.dropped(input.counters, n)
 
-  @doc "Nothing is taken from it for 20 ms, or until it is resumed; held again, the time starts over."
+  @doc "Pauses the input for 20 ms or until it is resumed; pausing it again restarts the time."
   @spec hold(t(), boolean()) :: t()
   def hold(%__MODULE__{} = input, held?) do
     with {timer, _token} <- input.held, do: Process.cancel_timer(timer)
@@ -267,7 +268,7 @@ defmodule Situ.Ports.Input do
     {Process.send_after(self(), {:situ_hold, tag, token}, @hold_ms), token}
   end
 
-  @doc "Whether the data is of the input's type, as far as `check` asks; the first good one ends `:first`."
+  @doc "Checks that the data has the input's type, as `check` requires; a first valid message ends `:first`."
   @spec check(t(), Message.t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
   def check(%__MODULE__{check: :off} = input, _message, _path), do: {:ok, input}
 

@@ -1,6 +1,6 @@
 defmodule Situ.Ports.Inputs do
   @moduledoc false
-  # The inputs of a stage by their tags: which is next, and what is asked of their producers.
+  # The inputs of a stage by tag: selects the next message and collects the demand for the producers.
   alias Situ.Delivery.Queue
   alias Situ.Ports.Input
 
@@ -10,10 +10,10 @@ defmodule Situ.Ports.Inputs do
   defstruct by_tag: %{}, tags: [], touched: [], order: nil, closed: [], told: []
 
   @typedoc """
-  `tags` are the keys of `by_tag`: going through a list is cheaper, and most stages have one input. `touched`: those
-  that have changed since the last settling, so that among thousands of inputs a message costs no look at each;
-  `order`: of many inputs, the times of their heads in order, and by tag. `closed`: the names of the inputs that have
-  closed; `told`: those of which the component was told before it was started again.
+  `tags` are the keys of `by_tag`; traversing a list is cheaper, and most stages have one input. `touched` lists the
+  inputs that have changed since the last settling, so that a message does not visit each of thousands of inputs.
+  `order` is used for many inputs: the times of their heads in order, and by tag. `closed` holds the names of closed
+  inputs; `told` the inputs whose end the component knew before it was restarted.
   """
   @type t :: %__MODULE__{
           by_tag: %{term() => Input.t()},
@@ -27,7 +27,7 @@ defmodule Situ.Ports.Inputs do
   @spec new([Input.t()]) :: t()
   def new(inputs), do: Enum.reduce(inputs, %__MODULE__{}, &put(&2, &1))
 
-  @doc "Adds or changes an input."
+  @doc "Adds or replaces an input."
   @spec put(t(), Input.t()) :: t()
   def put(%__MODULE__{by_tag: by_tag, order: nil} = inputs, %Input{tag: tag} = input) do
     case by_tag do
@@ -77,7 +77,7 @@ defmodule Situ.Ports.Inputs do
     %{inputs | by_tag: by_tag, tags: Map.keys(by_tag), order: order}
   end
 
-  @doc "Another function says from now on what the input `tag` never drops."
+  @doc "Sets the function that decides which messages the input `tag` never drops."
   @spec guarantee(t(), term(), (term() -> boolean())) :: t()
   def guarantee(%__MODULE__{} = inputs, tag, keep?) do
     case inputs.by_tag do
@@ -89,22 +89,22 @@ defmodule Situ.Ports.Inputs do
     end
   end
 
-  @doc "An input has closed; whether the component was told so before it was started again."
+  @doc "Closes an input; returns whether the component was notified before it was restarted."
   @spec close(t(), Input.t()) :: {boolean(), t()}
   def close(%__MODULE__{told: told} = inputs, %Input{name: name, tag: tag}) do
     inputs = delete(inputs, tag)
     {name in told, %{inputs | closed: [name | inputs.closed], told: told -- [name]}}
   end
 
-  @doc "The names of the inputs that have closed."
+  @doc "Returns the names of the closed inputs."
   @spec closed(t()) :: [atom()]
   def closed(%__MODULE__{closed: closed}), do: Enum.uniq(closed)
 
-  @doc "The component was told of these before it was started again."
+  @doc "Restores the inputs whose end the component knew before it was restarted."
   @spec recall(t(), [atom()]) :: t()
   def recall(%__MODULE__{} = inputs, told), do: %{inputs | told: told}
 
-  @doc "The only input of a chain."
+  @doc "Returns the only input of a chain."
   @spec only(t()) :: Input.t() | nil
   def only(%__MODULE__{tags: [tag], by_tag: by_tag}), do: :erlang.map_get(tag, by_tag)
   def only(%__MODULE__{tags: []}), do: nil
@@ -113,7 +113,7 @@ defmodule Situ.Ports.Inputs do
   def find(%__MODULE__{by_tag: by_tag}, name),
     do: Enum.find_value(by_tag, fn {_, input} -> if input.name == name, do: input end)
 
-  @doc "The input whose head is the oldest."
+  @doc "Returns the input with the oldest head."
   @spec earliest(t()) :: Input.t() | nil
   def earliest(%__MODULE__{order: nil, tags: tags, by_tag: by_tag}),
     do: earliest(tags, by_tag, nil, nil)
@@ -137,12 +137,12 @@ defmodule Situ.Ports.Inputs do
     end
   end
 
-  @doc "How many messages were taken in all."
+  @doc "Returns the number of messages taken from all inputs."
   @spec taken(t()) :: non_neg_integer()
   def taken(%__MODULE__{by_tag: by_tag}),
     do: by_tag |> Enum.map(fn {_, input} -> Input.taken(input) end) |> Enum.sum()
 
-  @doc "The most messages handled since the last settling, among the inputs."
+  @doc "Returns the largest number of messages that one input has handled since the last settling."
   @spec handled(t()) :: non_neg_integer()
   def handled(%__MODULE__{touched: touched, by_tag: by_tag}), do: handled(touched, by_tag, 0)
 
@@ -155,7 +155,7 @@ defmodule Situ.Ports.Inputs do
     end
   end
 
-  @doc "Publishes counts and asks for more."
+  @doc "Publishes the counts of all changed inputs and sends demand."
   @spec settle(t()) :: t()
   def settle(%__MODULE__{touched: []} = inputs), do: inputs
   def settle(%__MODULE__{tags: [_] = tags} = inputs), do: settle(tags, inputs)
@@ -177,7 +177,7 @@ defmodule Situ.Ports.Inputs do
     end
   end
 
-  @doc "The component holds an input, or resumes it."
+  @doc "Pauses or resumes an input for the component."
   @spec hold(t(), atom(), boolean()) :: t()
   def hold(%__MODULE__{} = inputs, name, held?) do
     case find(inputs, name) do

@@ -1,7 +1,7 @@
 defmodule Situ.Ports.Output do
   @moduledoc false
-  # One output of a running component: what is posted (see Posting), what waits for its time, and its subscribers. Only
-  # `flush/1`, `ask/3`, `refresh/2` and `close/2` send.
+  # One output of a running component: its posting state (see Posting), messages that wait for their time, and
+  # subscribers. Only `flush/1`, `ask/3`, `refresh/2` and `close/2` send messages.
   alias Situ.Delivery.Queue
   alias Situ.Message
   alias Situ.Ports.Subscriber
@@ -30,7 +30,7 @@ defmodule Situ.Ports.Output do
 
   @typedoc "An item that waits for its time: data with its time, or a message with its own envelope."
   @type held :: {Situ.Time.t(), term()} | Message.t()
-  @typedoc "The constant part: name, the component's path, the id of the stream, the rule for equal times."
+  @typedoc "The constant part: name, the component's path, the stream's id, and the rule for equal times."
   @type port_of :: %{
           name: atom(),
           path: String.t(),
@@ -39,12 +39,11 @@ defmodule Situ.Ports.Output do
         }
 
   @typedoc """
-  `last_time`, `last_creation` and `seq` are of the last message made; `posted` is the clock at that moment.
-  `pending` goes out with the next flush, newest first; `future` (front and reversed rear) waits for the clock.
-  `closing` is the time at which it closes, `closed` whether all subscribers know. `waits`: nothing goes
-  out until the pipeline knows that its source ends. `resume`: messages up to this time
-  have been posted before a restart; `repeated` counts them. `wanted` belongs to nudged times (see Posting). `mark`
-  is the shared memory of `marks/1`.
+  `last_time`, `last_creation` and `seq` belong to the last message created; `posted` is the clock at that moment.
+  `pending` is sent with the next flush, newest first; `future` (front and reversed rear) waits for the clock.
+  `closing` is the closing time; `closed` is true once all subscribers know it. `waits` withholds everything until the
+  pipeline knows that the source ends. Messages up to `resume` were posted before a restart; `repeated` counts them.
+  `wanted` is for nudged times (see Posting). `mark` is the shared memory of `marks/1`.
   """
   @type t :: %__MODULE__{
           port: port_of(),
@@ -66,7 +65,7 @@ defmodule Situ.Ports.Output do
         }
   @type marks :: :atomics.atomics_ref()
 
-  @doc "An output without subscribers."
+  @doc "Builds an output without subscribers."
   @spec new(atom(), String.t(), non_neg_integer(), :error | :drop | :nudge) :: t()
   def new(name, path, source_id, same_time \\ :error) do
     port = %{name: name, path: path, source_id: source_id, same_time: same_time}
@@ -74,13 +73,13 @@ defmodule Situ.Ports.Output do
   end
 
   @doc """
-  Shared memory for how far each of so many outputs has come: a process that takes the place of a dead one goes on
-  from there.
+  Creates shared memory for the progress of this many outputs, so that a process that replaces a dead one continues from
+  there.
   """
   @spec marks(non_neg_integer()) :: marks()
   def marks(outputs), do: :atomics.new(max(outputs, 1) * 3, signed: true)
 
-  @doc "Notes in `marks` at `index` how far it comes, from now on; begins where the one before it was."
+  @doc "Attaches the output to its entry in `marks`; it continues from the previous progress and records its own."
   @spec attach(t(), marks() | nil, non_neg_integer()) :: t()
   def attach(output, nil, _index), do: output
 
@@ -98,7 +97,7 @@ defmodule Situ.Ports.Output do
     end
   end
 
-  @doc "Notes that `message` is the last one sent."
+  @doc "Records `message` as the last one sent."
   @spec note(t(), Message.t()) :: :ok
   def note(%__MODULE__{mark: nil}, _message), do: :ok
 
@@ -108,7 +107,7 @@ defmodule Situ.Ports.Output do
     :atomics.put(marks, index * 3 + 3, message.sequence_id)
   end
 
-  @doc "Another function says from now on what the subscriber `tag` never loses."
+  @doc "Sets the function that decides which messages the subscriber `tag` never loses."
   @spec guarantee(t(), term(), (term() -> boolean())) :: t()
   def guarantee(%__MODULE__{} = output, tag, keep?) do
     subs =
@@ -123,15 +122,15 @@ defmodule Situ.Ports.Output do
     %{output | subs: subs}
   end
 
-  @doc "The component starts again: messages up to the last time have been posted before."
+  @doc "Marks messages up to the last time as already posted, because the component restarts."
   @spec resume(t()) :: t()
   def resume(%__MODULE__{} = output), do: %{output | resume: output.last_time}
 
-  @doc "Whether messages wait for their time."
+  @doc "Returns whether messages wait for their time."
   @spec holding?(t()) :: boolean()
   def holding?(%__MODULE__{future: future}), do: future != @nothing
 
-  @doc "The time of the next held message, or `nil`."
+  @doc "Returns the time of the next held message, or `nil`."
   @spec next_time(t()) :: Situ.Time.t() | nil
   def next_time(%__MODULE__{future: {[], _}}), do: nil
   def next_time(%__MODULE__{future: {[first | _], _}}), do: time_of(first)
@@ -154,7 +153,7 @@ defmodule Situ.Ports.Output do
   defp balance([], rear), do: {:lists.reverse(rear), []}
   defp balance(front, rear), do: {front, rear}
 
-  @doc "Throws away held messages later than `final`."
+  @doc "Discards held messages later than `final`."
   @spec cut(t(), Situ.Time.t()) :: t()
   def cut(%__MODULE__{future: @nothing} = output, _final), do: output
 
@@ -164,11 +163,11 @@ defmodule Situ.Ports.Output do
       | future: {Enum.filter(front ++ Enum.reverse(rear), &(time_of(&1) <= final)), []}
     }
 
-  @doc "Throws away all held messages."
+  @doc "Discards all held messages."
   @spec forget(t()) :: t()
   def forget(%__MODULE__{} = output), do: %{output | future: @nothing}
 
-  @doc "How many messages may be posted now: the least demand of its subscribers, less what waits in buffers."
+  @doc "Returns how many messages may be posted: the smallest demand of its subscribers minus buffered messages."
   @spec room(t()) :: integer() | :infinity
   def room(%__MODULE__{subs: []}), do: :infinity
   def room(%__MODULE__{closed: true}), do: :infinity
@@ -182,11 +181,11 @@ defmodule Situ.Ports.Output do
   defp least([], least), do: least
   defp least([sub | rest], least), do: least(rest, min(Subscriber.free(sub), least))
 
-  @doc "Whether all that is pending, and the closing mark, stays here for now."
+  @doc "Sets whether pending messages and the closing mark are withheld for now."
   @spec wait(t(), boolean()) :: t()
   def wait(%__MODULE__{} = output, waits?), do: %{output | waits: waits?}
 
-  @doc "Adds a batch already made (chains), oldest last."
+  @doc "Adds a reversed batch that a chain has built, newest first."
   @spec push_reversed(t(), [Message.t()], non_neg_integer()) :: t()
   def push_reversed(%__MODULE__{pending: []} = output, reversed, n),
     do: %{output | pending: reversed, pending_n: n}
@@ -194,7 +193,7 @@ defmodule Situ.Ports.Output do
   def push_reversed(%__MODULE__{} = output, reversed, n),
     do: %{output | pending: reversed ++ output.pending, pending_n: output.pending_n + n}
 
-  @doc "Hands pending messages to the subscribers, as far as their demand goes; sends closing marks that waited for it."
+  @doc "Delivers pending messages to the subscribers within their demand, and the closing marks that follow them."
   @spec flush(t()) :: t()
   def flush(%__MODULE__{pending: [], closing: nil} = output), do: output
   def flush(%__MODULE__{waits: true} = output), do: output
@@ -215,7 +214,7 @@ defmodule Situ.Ports.Output do
   defp give([sub | rest], messages, n, ages, now),
     do: [Subscriber.give(sub, messages, n, ages, now) | give(rest, messages, n, ages, now)]
 
-  @doc "More demand from one subscriber, named by its pid and tag; `:error` when there is no such subscriber."
+  @doc "Adds demand of one subscriber, identified by pid and tag; `:error` if there is no such subscriber."
   @spec ask(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
   def ask(%__MODULE__{subs: [%{pid: pid, tag: tag} = sub]} = output, {pid, tag}, n),
     do: {:ok, finish(%{output | subs: [Subscriber.ask(sub, n)]})}
@@ -239,12 +238,12 @@ defmodule Situ.Ports.Output do
     end
   end
 
-  @doc "A subscriber with a lossy policy wants the newest messages at once, whatever it has asked for."
+  @doc "Sends a subscriber with a lossy policy the newest messages immediately, whatever its demand."
   @spec refresh(t(), {pid(), term()}) :: t()
   def refresh(%__MODULE__{} = output, from),
     do: finish(%{output | subs: update(output.subs, from, &Subscriber.refresh/1)})
 
-  @doc "Whether one of its subscribers has this pid and tag."
+  @doc "Returns whether a subscriber has this pid and tag."
   @spec subscriber?(t(), {pid(), term()}) :: boolean()
   def subscriber?(%__MODULE__{subs: subs}, from), do: among?(subs, from)
 
@@ -256,7 +255,7 @@ defmodule Situ.Ports.Output do
   defp update([%{tag: tag, pid: pid} = sub | rest], {pid, tag}, fun), do: [fun.(sub) | rest]
   defp update([sub | rest], from, fun), do: [sub | update(rest, from, fun)]
 
-  @doc "Nothing more will come; the closing mark goes out after everything before it."
+  @doc "Closes the output; the closing mark is sent after all messages before it."
   @spec close(t(), Situ.Time.t()) :: t()
   def close(%__MODULE__{closing: nil} = output, time) do
     output = cut(%{output | closing: time}, time)
@@ -265,7 +264,7 @@ defmodule Situ.Ports.Output do
 
   def close(%__MODULE__{} = output, _time), do: output
 
-  @doc "Adds a subscriber to a running output; a closed one answers with the closing mark."
+  @doc "Adds a subscriber to a running output; a closed output sends the closing mark instead."
   @spec subscribe(t(), Subscriber.t()) :: t()
   def subscribe(%__MODULE__{closed: true} = output, sub) do
     Subscriber.send_close(sub, output.closing)
@@ -274,13 +273,13 @@ defmodule Situ.Ports.Output do
 
   def subscribe(%__MODULE__{} = output, sub), do: %{output | subs: output.subs ++ [sub]}
 
-  @doc "Takes a subscriber away, with what waited for it."
+  @doc "Removes subscribers and the messages that wait for them."
   @spec cancel(t(), (Subscriber.t() -> boolean())) :: t()
   def cancel(%__MODULE__{} = output, which?) do
     finish(%{output | subs: Enum.reject(output.subs, which?)})
   end
 
-  @doc "How many messages wait for demand."
+  @doc "Returns how many messages wait for demand."
   @spec buffered(t()) :: non_neg_integer()
   def buffered(%__MODULE__{} = output),
     do: Enum.reduce(output.subs, output.pending_n, &max(&1.size, &2))
@@ -300,7 +299,7 @@ defmodule Situ.Ports.Output do
   defp less(:infinity, _n), do: :infinity
   defp less(room, n), do: room - n
 
-  @doc "The originating time of a held item."
+  @doc "Returns the originating time of a held item."
   @spec time_of(held()) :: Situ.Time.t()
   def time_of({time, _data}), do: time
   def time_of(%Message{originating_time: time}), do: time

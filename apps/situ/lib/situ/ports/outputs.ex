@@ -1,15 +1,15 @@
 defmodule Situ.Ports.Outputs do
   @moduledoc false
-  # The outputs of a stage: its component's or chain's own, and with light operators behind a component in one
-  # process the output of the last of them, `tail`. Then the component's own output has no subscribers.
+  # The outputs of a stage: those of its component or chain and, if light operators follow a component in the same
+  # process, the output of the last operator, `tail`. In that case the component's own output has no subscribers.
   alias Situ.Graph.Vertex
   alias Situ.Ports.{Output, Posting, Subscriber}
 
   defstruct own: [], tail: nil, left: [], demand: :forward
 
   @typedoc """
-  `left`: what the operators behind the component have not handled yet; it makes no more meanwhile. `demand`: with
-  `:accumulate` nothing goes out, whatever is asked for, until it is `:forward`.
+  `left` holds messages that the operators after the component have not handled yet; it emits no more until then. With
+  `demand: :accumulate` nothing is sent, whatever the demand, until it is `:forward`.
   """
   @type t :: %__MODULE__{
           own: [{atom(), Output.t()}],
@@ -18,7 +18,7 @@ defmodule Situ.Ports.Outputs do
           demand: :forward | :accumulate
         }
 
-  @doc "The outputs of the vertices of one stage, as far as `marks` say they have come."
+  @doc "Builds the outputs of the vertices of one stage, with the progress recorded in `marks`."
   @spec new([Vertex.t()], Output.marks() | nil) :: t()
   def new([%{module: :operator} | _] = vertices, marks), do: new(List.last(vertices), nil, marks)
   def new([component], marks), do: new(component, nil, marks)
@@ -42,7 +42,7 @@ defmodule Situ.Ports.Outputs do
         do: {name, Output.new(name, vertex.path, port.source_id, vertex.on_same_time)}
   end
 
-  @doc "The output that the component emits on."
+  @doc "Returns the output that the component emits on."
   @spec fetch(t(), atom()) :: {:ok, Output.t()} | :error
   def fetch(%__MODULE__{own: own}, name) do
     case List.keyfind(own, name, 0) do
@@ -62,7 +62,7 @@ defmodule Situ.Ports.Outputs do
   def put(%__MODULE__{own: own} = outputs, %{port: %{name: name}} = output),
     do: %{outputs | own: List.keyreplace(own, name, 0, {name, output})}
 
-  @doc "The output that a chain emits on."
+  @doc "Returns the output that a chain emits on."
   @spec last(t()) :: Output.t()
   def last(%__MODULE__{tail: nil, own: [{_, output}]}), do: output
   def last(%__MODULE__{tail: tail}), do: tail
@@ -71,7 +71,7 @@ defmodule Situ.Ports.Outputs do
   def put_last(%__MODULE__{tail: nil} = outputs, output), do: put(outputs, output)
   def put_last(%__MODULE__{} = outputs, output), do: %{outputs | tail: output}
 
-  @doc "The outputs that others can subscribe to."
+  @doc "Returns the outputs that others can subscribe to."
   @spec open(t()) :: [{atom(), Output.t()}]
   def open(%__MODULE__{tail: nil, own: own}), do: own
   def open(%__MODULE__{tail: tail}), do: [{tail.port.name, tail}]
@@ -89,7 +89,7 @@ defmodule Situ.Ports.Outputs do
     %{outputs | own: own, tail: tail && fun.(tail)}
   end
 
-  @doc "Changes an output that others can subscribe to."
+  @doc "Updates an output that others can subscribe to."
   @spec update_open(t(), atom(), (Output.t() -> Output.t())) :: t()
   def update_open(%__MODULE__{tail: nil} = outputs, name, fun) do
     {:ok, output} = fetch(outputs, name)
@@ -99,7 +99,7 @@ defmodule Situ.Ports.Outputs do
   def update_open(%__MODULE__{tail: tail} = outputs, _name, fun),
     do: %{outputs | tail: fun.(tail)}
 
-  @doc "How many messages may go out now."
+  @doc "Returns how many messages may be sent now."
   @spec room(t()) :: integer() | :infinity
   def room(%__MODULE__{demand: :accumulate}), do: 0
   def room(%__MODULE__{tail: nil, own: [{_, output}]}), do: Output.room(output)
@@ -123,18 +123,18 @@ defmodule Situ.Ports.Outputs do
 
   def flush(%__MODULE__{} = outputs), do: each(outputs, &Output.flush/1)
 
-  @doc "Whether nothing goes out until the pipeline knows of the end; behind that it goes out with the next `flush/1`."
+  @doc "Sets whether messages are withheld until the pipeline knows the end; `flush/1` sends them after that."
   @spec wait(t(), boolean()) :: t()
   def wait(%__MODULE__{} = outputs, waits?), do: each(outputs, &Output.wait(&1, waits?))
 
   @spec waits?(t()) :: boolean()
   def waits?(%__MODULE__{} = outputs), do: outputs |> all() |> Enum.any?(& &1.waits)
 
-  @doc "Whether messages wait for their time."
+  @doc "Returns whether messages wait for their time."
   @spec holding?(t()) :: boolean()
   def holding?(%__MODULE__{} = outputs), do: outputs |> all() |> Enum.any?(&Output.holding?/1)
 
-  @doc "When the first of them is due."
+  @doc "Returns when the first held message is due."
   @spec next_time(t()) :: Situ.Time.t() | nil
   def next_time(%__MODULE__{} = outputs) do
     Enum.reduce(all(outputs), nil, fn output, first ->
@@ -149,7 +149,7 @@ defmodule Situ.Ports.Outputs do
   @spec release(t(), Situ.Time.t()) :: t()
   def release(%__MODULE__{} = outputs, now), do: each(outputs, &Posting.release(&1, now))
 
-  @doc "More demand from one subscriber; `:error` when there is no such subscriber."
+  @doc "Adds demand of one subscriber; `:error` if there is no such subscriber."
   @spec ask(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
   def ask(%__MODULE__{tail: nil, own: [{name, output}]} = outputs, from, n) do
     with {:ok, output} <- Output.ask(output, from, n),
@@ -169,19 +169,19 @@ defmodule Situ.Ports.Outputs do
     end
   end
 
-  @doc "Whether every subscriber has all it has coming, and knows the end."
+  @doc "Returns whether every subscriber has received all its messages and the closing mark."
   @spec drained?(t()) :: boolean()
   def drained?(%__MODULE__{} = outputs), do: Enum.all?(all(outputs), &(&1.subs == []))
 
   @spec subscribers(t()) :: [Subscriber.t()]
   def subscribers(%__MODULE__{} = outputs), do: Enum.flat_map(all(outputs), & &1.subs)
 
-  @doc "How many messages wait for demand: the most among the subscribers of an output."
+  @doc "Returns how many messages wait for demand: the maximum among the outputs' subscribers."
   @spec buffered(t()) :: non_neg_integer()
   def buffered(%__MODULE__{} = outputs),
     do: Enum.reduce(all(outputs), 0, &(Output.buffered(&1) + &2))
 
-  @doc "Takes subscribers away, with what waited for them."
+  @doc "Removes subscribers and the messages that wait for them."
   @spec unsubscribe(t(), (Subscriber.t() -> boolean())) :: t()
   def unsubscribe(%__MODULE__{} = outputs, which?) do
     for %{monitor: ref} = sub when ref != nil <- subscribers(outputs),
@@ -191,7 +191,7 @@ defmodule Situ.Ports.Outputs do
     each(outputs, &Output.cancel(&1, which?))
   end
 
-  @doc "Consumers from outside the pipeline end with `reason`; those inside are closed in their order."
+  @doc "Ends external consumers with `reason`; internal ones close in their order."
   @spec abandon(t(), term()) :: t()
   def abandon(%__MODULE__{} = outputs, reason) do
     outputs = flush(wait(outputs, false))
@@ -202,7 +202,7 @@ defmodule Situ.Ports.Outputs do
     unsubscribe(outputs, &(&1.monitor != nil))
   end
 
-  @doc "One subscriber gets all that waits for it, asked for or not, and the closing mark."
+  @doc "Sends one subscriber all its waiting messages, regardless of demand, and the closing mark."
   @spec cut(t(), term(), Situ.Time.t()) :: t()
   def cut(%__MODULE__{} = outputs, tag, time) do
     for %{tag: ^tag} = sub <- subscribers(outputs),
@@ -211,11 +211,11 @@ defmodule Situ.Ports.Outputs do
     unsubscribe(outputs, &(&1.tag == tag))
   end
 
-  @doc "Where each output has come: it changes when something was emitted."
+  @doc "Returns a value that changes when a message is emitted."
   @spec progress(t()) :: term()
   def progress(%__MODULE__{} = outputs), do: for(o <- all(outputs), do: {o.seq, o.last_time})
 
-  @doc "How many messages had been posted before, or were dropped for their time."
+  @doc "Returns how many messages had been posted before, or were dropped because of their time."
   @spec repeated(t()) :: non_neg_integer()
   def repeated(%__MODULE__{} = outputs),
     do: Enum.reduce(all(outputs), 0, fn o, n -> n + o.repeated end)

@@ -1,7 +1,7 @@
 defmodule Situ.Ports.Posting do
   @moduledoc false
-  # The posting rules of an output: originating times and sequence ids strictly increase, creation times do not go
-  # back; what is ahead of an enforced clock waits.
+  # The posting rules of an output: originating times and sequence ids strictly increase, and creation times never go
+  # backwards. Messages ahead of an enforced clock wait.
   alias Situ.{Error, Message}
   alias Situ.Ports.Output
 
@@ -9,7 +9,7 @@ defmodule Situ.Ports.Posting do
   @earliest -7_000_000_000_000_000_000
   @latest 8_999_999_999_999_999_998
 
-  @doc "Posts data at `time`; held back until the clock reaches it when `enforce`d."
+  @doc "Posts data at `time`; with `enforce`, the message is held until the clock reaches that time."
   @spec emit(Output.t(), Situ.Time.t(), term(), Situ.Time.t(), boolean()) ::
           {:ok, Output.t()} | {:error, Error.t()}
   def emit(%Output{closing: closing} = output, _time, _data, _now, _enforce)
@@ -54,7 +54,7 @@ defmodule Situ.Ports.Posting do
   defp again(output, time), do: {:error, not_increasing(output, time)}
 
   @doc """
-  Posts the leading `{name, time, data}` actions that are for this output, in one go; answers the actions left over.
+  Posts the leading `{name, time, data}` actions for this output in one pass; returns the remaining actions.
   """
   @spec emit_all(Output.t(), [tuple()], Situ.Time.t(), boolean(), integer() | nil) ::
           {:ok, Output.t(), [tuple()]} | {:error, Error.t()}
@@ -98,7 +98,7 @@ defmodule Situ.Ports.Posting do
     with {:ok, output} <- emit(output, time, data, now, enforce), do: {:ok, output, rest}
   end
 
-  @doc "Whether clocks and counters can tell how old messages are, from the time `first` to the last one posted."
+  @doc "Checks that message ages from the time `first` to the last post fit the clocks and counters."
   @spec in_range(Output.t(), Situ.Time.t()) :: :ok | {:error, Error.t()}
   def in_range(%Output{last_time: last}, first)
       when first >= @earliest and (last == nil or last <= @latest),
@@ -136,7 +136,7 @@ defmodule Situ.Ports.Posting do
 
   defp post_all(rest, _start, last, seq, pending), do: {rest, last, seq, pending}
 
-  @doc "Posts a message with its own envelope; only the source id becomes this output's."
+  @doc "Posts a message with its own envelope; only its source id is replaced by this output's."
   @spec forward(Output.t(), Message.t(), Situ.Time.t(), boolean()) ::
           {:ok, Output.t()} | {:error, Error.t()}
   def forward(%Output{closing: closing} = output, _message, _now, _enforce)
@@ -177,8 +177,7 @@ defmodule Situ.Ports.Posting do
   end
 
   @doc """
-  Posts messages with their own envelopes, in one go where nothing stands in the way. `:error` when one of them is no
-  message.
+  Posts messages with their own envelopes, in one pass if possible. Returns `:error` if one of them is not a message.
   """
   @spec forward_all(Output.t(), [Message.t()], Situ.Time.t(), boolean()) ::
           {:ok, Output.t()} | {:error, Error.t()} | :error

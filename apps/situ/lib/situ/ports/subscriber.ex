@@ -1,8 +1,8 @@
 defmodule Situ.Ports.Subscriber do
   @moduledoc false
-  # One consumer of an output: its demand, and what waits for it. With a lossy policy the policy's queue waits here,
-  # at the producer: a consumer that is slow is handed no more than it asked for. `monitor` is of one from outside
-  # the pipeline.
+  # One consumer of an output: its demand and its waiting messages. Under a lossy policy the policy's queue is here, at
+  # the producer, so a slow consumer receives no more than it asked for. `monitor` watches a consumer outside the
+  # pipeline.
   alias Situ.Delivery
   alias Situ.Delivery.Queue
   alias Situ.Ports.Counters
@@ -37,7 +37,7 @@ defmodule Situ.Ports.Subscriber do
 
   @type ages :: {Situ.Time.t(), created :: integer(), posted :: integer()}
 
-  @doc "A subscriber without demand."
+  @doc "Builds a subscriber without demand."
   @spec new(term(), pid(), Counters.t() | nil, Delivery.t() | nil) :: t()
   def new(tag, pid, counters, policy \\ nil) do
     if counters, do: Counters.held(counters, 0)
@@ -46,22 +46,22 @@ defmodule Situ.Ports.Subscriber do
     %__MODULE__{tag: tag, pid: pid, counters: counters, queue: queue}
   end
 
-  @doc "The consumer is another process now, which has asked for nothing."
+  @doc "Replaces the consumer's process; the new process has no demand."
   @spec replace(t(), pid()) :: t()
   def replace(%__MODULE__{} = sub, pid), do: %{sub | pid: pid, demand: 0}
 
-  @doc "The closing mark, behind the last message."
+  @doc "Sends the closing mark, after the last message."
   @spec send_close(t(), Situ.Time.t()) :: term()
   def send_close(sub, time), do: send_cancel(sub, {:shutdown, {:closed, time}})
 
-  @doc "The end of the subscription."
+  @doc "Sends the end of the subscription."
   @spec send_cancel(t(), term()) :: term()
   def send_cancel(sub, reason),
     do: send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, {:cancel, reason}})
 
   @doc """
-  Hands over `n` messages at clock time `now`, as far as they were asked for; the rest waits. `ages`: the time of the
-  last, and how old it was when made and when posted, ns.
+  Delivers `n` messages at clock time `now` within the demand; the rest waits. `ages` is the time of the last message,
+  and its age, in ns, when it was created and when it was posted.
   """
   @spec give(t(), [Situ.Message.t()], pos_integer(), ages(), Situ.Time.t()) :: t()
   def give(%{size: 0, demand: demand} = sub, messages, n, ages, now)
@@ -88,11 +88,11 @@ defmodule Situ.Ports.Subscriber do
       else: drain(sub)
   end
 
-  @doc "More demand."
+  @doc "Adds demand."
   @spec ask(t(), pos_integer() | :infinity) :: t()
   def ask(%__MODULE__{} = sub, n), do: drain(%{sub | demand: more(sub.demand, n)})
 
-  @doc "Hands over all that waits under a lossy policy, unless that has been done: an empty batch if need be."
+  @doc "Delivers all messages waiting under a lossy policy, unless already done; the batch may be empty."
   @spec refresh(t()) :: t()
   def refresh(%__MODULE__{queue: queue, counters: counters} = sub) do
     if queue != nil and Counters.wanted?(counters), do: hand_over(sub), else: sub
@@ -104,7 +104,7 @@ defmodule Situ.Ports.Subscriber do
     %{sub | queue: Queue.new(queue.policy), size: 0}
   end
 
-  @doc "The output closes: what is later than that goes, under a lossy policy."
+  @doc "Discards waiting messages later than the closing time, under a lossy policy."
   @spec cut(t(), Situ.Time.t()) :: t()
   def cut(%__MODULE__{queue: nil} = sub, _time), do: sub
 
@@ -171,7 +171,7 @@ defmodule Situ.Ports.Subscriber do
     Counters.sent(counters, time, now)
   end
 
-  @doc "How many more it can take; negative while messages wait. A policy that drops, and does not throttle, takes all."
+  @doc "Returns the free demand; negative while messages wait, `:infinity` if the policy drops without throttling."
   @spec free(t()) :: integer() | :infinity
   def free(%{demand: :infinity}), do: :infinity
   def free(%{queue: %{policy: %{throttle: false}}}), do: :infinity

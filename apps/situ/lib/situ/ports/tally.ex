@@ -10,14 +10,14 @@ defmodule Situ.Ports.Tally do
   @spec failed(t(), non_neg_integer()) :: :ok
   def failed(ref, index), do: :counters.add(ref, index * 3 + 1, 1)
 
-  @doc "A message was lost to an error."
+  @doc "Counts a message that was lost to an error."
   @spec skipped(t(), non_neg_integer()) :: :ok
   def skipped(ref, index) do
     failed(ref, index)
     :counters.add(ref, index * 3 + 3, 1)
   end
 
-  @doc "The component started afresh, the message it was at is lost."
+  @doc "Counts a restart of the component, which loses the current message."
   @spec restarted(t(), non_neg_integer()) :: :ok
   def restarted(ref, index) do
     skipped(ref, index)

@@ -1,20 +1,21 @@
 defmodule Situ.Ports.Trail do
   @moduledoc false
-  # When which originating times went by one end of an edge, for the last while: a ring of entries in the edge's shared
-  # memory, written by that end alone, once per batch. An entry is of a millisecond of the pipeline's clock and holds
-  # the last time that went by in it, so what is told is right within that.
+  # Records when originating times recently passed one end of an edge: a ring of entries in the edge's shared memory,
+  # written only by that end, once per batch. Each entry covers a millisecond of the pipeline's clock and holds the last
+  # time that passed in it, so the results are accurate to a millisecond.
   #
-  #   word 0   how many entries were begun, 1 when the last one was; then pairs: originating time, when
+  #   word 0   the number of entries begun
+  #   word 1   when the last one was begun; then pairs of originating time and clock time
 
   @entries 128
   @span 1_000_000
   @words 2 + 2 * @entries
 
-  @doc "How many words one takes."
+  @doc "Returns the number of words that one ring takes."
   @spec words() :: pos_integer()
   def words, do: @words
 
-  @doc "Everything up to the originating time `time` has gone by at clock time `at`; `base` is its first word."
+  @doc "Records that everything up to the originating time `time` had passed at clock time `at`; `base` is word 0."
   @spec note(:atomics.atomics_ref(), pos_integer(), Situ.Time.t(), Situ.Time.t()) :: :ok
   def note(ref, base, time, at) do
     n = :atomics.get(ref, base)
@@ -34,8 +35,8 @@ defmodule Situ.Ports.Trail do
   end
 
   @doc """
-  When the originating time `time`, or the first one behind it, went by: the clock time, `:forgotten` when that is too
-  long ago, `nil` when none has.
+  Returns the clock time at which the originating time `time`, or the first one after it, passed; `:forgotten` if
+  that is too long ago, `nil` if none has passed.
   """
   @spec passed(:atomics.atomics_ref(), pos_integer(), Situ.Time.t()) ::
           Situ.Time.t() | :forgotten | nil

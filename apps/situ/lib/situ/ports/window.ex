@@ -1,10 +1,10 @@
 defmodule Situ.Ports.Window do
   @moduledoc false
-  # How much an input may ask of its producer: the demand window. Pure.
+  # The demand window: how much an input may request from its producer. Pure.
   #
-  # The default window is also a budget of bytes: a thousand numbers may be on their way, but not a thousand
-  # pictures. It begins small, weighs what arrives, and then asks for as many messages as the budget holds. A lossy
-  # policy asks for no more than its queue holds: the rest waits, and is dropped, at the producer.
+  # The default window is also a budget of bytes: a thousand numbers may be in flight, but not a thousand images. It
+  # starts small, weighs the arriving messages, and then requests as many messages as the budget allows. A lossy policy
+  # requests no more than its queue holds; the rest waits, or is dropped, at the producer.
   alias Situ.{Delivery, Message}
 
   @default Delivery.unlimited().window
@@ -15,7 +15,7 @@ defmodule Situ.Ports.Window do
   @enforce_keys [:size]
   defstruct [:size, weigh: false, unweighed: 0, owed: 0]
 
-  @typedoc "`owed`: messages taken and not yet asked for again; `unweighed`: how many more before one is weighed."
+  @typedoc "`owed`: messages taken and not yet requested again; `unweighed`: messages until the next one is weighed."
   @type t :: %__MODULE__{
           size: pos_integer() | :infinity,
           weigh: boolean(),
@@ -35,7 +35,7 @@ defmodule Situ.Ports.Window do
   def new(%Delivery{kind: :throttle, window: n}) when is_integer(n), do: %__MODULE__{size: n + 1}
   def new(%Delivery{window: window}), do: %__MODULE__{size: window}
 
-  @doc "The first of a batch that has arrived: what it weighs changes the window."
+  @doc "Weighs the first message of a batch, which adjusts the window."
   @spec weigh(t(), Message.t()) :: t()
   def weigh(%__MODULE__{weigh: false} = window, _message), do: window
 
@@ -58,11 +58,11 @@ defmodule Situ.Ports.Window do
   defp weight(message, left) when left <= 0, do: Message.size(message)
   defp weight(_message, _left), do: :unknown
 
-  @doc "`n` messages have left the queue."
+  @doc "Adds `n` messages that have left the queue."
   @spec owe(t(), non_neg_integer()) :: t()
   def owe(%__MODULE__{} = window, n), do: %{window | owed: window.owed + n}
 
-  @doc "How much to ask for now: nothing until it is half of the window."
+  @doc "Returns how much to request now: nothing until it is half of the window."
   @spec ask(t()) :: {non_neg_integer(), t()}
   def ask(%__MODULE__{size: size, owed: owed} = window) do
     if size != :infinity and owed > 0 and owed >= div(size, 2),
@@ -70,7 +70,7 @@ defmodule Situ.Ports.Window do
       else: {0, window}
   end
 
-  @doc "The producer is another one, which knows of no demand."
+  @doc "Clears the owed demand, because a new producer knows of none."
   @spec renew(t()) :: t()
   def renew(%__MODULE__{} = window), do: %{window | owed: 0}
 end

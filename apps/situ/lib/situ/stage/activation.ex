@@ -1,13 +1,13 @@
 defmodule Situ.Stage.Activation do
   @moduledoc false
-  # A call into the component, and what came of it: its actions, or an error.
+  # Calls a callback of the component and applies its result: actions or an error.
   alias Situ.{Clock, Error}
   alias Situ.Clock.Timers
   alias Situ.Component.Callback
   alias Situ.Ports.{Output, Outputs}
   alias Situ.Stage.{Emission, ErrorPolicy, State}
 
-  @doc "Calls a callback at clock time `now`; the context comes in as its last argument but the state."
+  @doc "Calls a callback at clock time `now`; the context is added as the argument before the state."
   @spec call(State.t(), atom(), [term()], Situ.Time.t()) :: State.t()
   def call(state, callback, args, now) do
     case Callback.call(state.callback, callback, args ++ [State.context(state, now)]) do
@@ -16,7 +16,7 @@ defmodule Situ.Stage.Activation do
     end
   end
 
-  @doc "Another process asks something of the component; what it does not know is answered or ignored, never fatal."
+  @doc "Handles a call or cast from another process; an unknown call gets an error reply, an unknown cast is ignored."
   @spec request(State.t(), term(), GenServer.from() | nil) :: State.t()
   def request(%{phase: :running, callback: %Callback{}} = state, request, from) do
     if function_exported?(state.callback.module, :handle_request, 4),
@@ -36,7 +36,7 @@ defmodule Situ.Stage.Activation do
     state
   end
 
-  @doc "The component's new state and actions; an action that is wrong takes the new state back, too."
+  @doc "Applies the component's new state and actions; an invalid action reverts the new state, too."
   @spec act(State.t(), term(), [Situ.Component.action()], Situ.Time.t()) :: State.t()
   def act(state, core, actions, now) do
     case Emission.run(%{state | callback: %{state.callback | core: core}}, actions, now) do
@@ -45,7 +45,7 @@ defmodule Situ.Stage.Activation do
     end
   end
 
-  @doc "An error, as the component's `on_error` says."
+  @doc "Handles an error according to the component's `on_error`."
   @spec wrong(State.t(), Error.t()) :: State.t()
   def wrong(state, error) do
     case ErrorPolicy.decide(state) do

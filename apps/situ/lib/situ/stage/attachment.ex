@@ -1,7 +1,7 @@
 defmodule Situ.Stage.Attachment do
   @moduledoc false
-  # Connections that come and go while a stage runs: subscribers of its outputs, taps on streams inside a chain,
-  # inputs of a component that takes more.
+  # Adds and removes connections of a running stage: subscribers of its outputs, taps on streams inside a chain, and
+  # inputs of a component that accepts more.
   alias Situ.{Clock, Error}
   alias Situ.Component.Callback
   alias Situ.Operator.Chain
@@ -10,7 +10,7 @@ defmodule Situ.Stage.Attachment do
 
   @most_waiting 1_000
 
-  @doc "A consumer subscribes, asks or cancels, in GenStage's protocol; anything else ends its subscription."
+  @doc "Handles a GenStage message of a consumer that subscribes, asks or cancels; others end the subscription."
   @spec asked(State.t(), {pid(), term()}, term()) :: State.t()
   def asked(state, from, {:ask, n}) when (is_integer(n) and n > 0) or n == :infinity do
     case Outputs.ask(state.outputs, from, n) do
@@ -64,7 +64,7 @@ defmodule Situ.Stage.Attachment do
     state
   end
 
-  @doc "The consumer with this monitor is gone."
+  @doc "Removes the consumer with this monitor, whose process has ended."
   @spec left_by(State.t(), reference()) :: State.t()
   def left_by(state, monitor), do: leave(state, &(&1.monitor == monitor))
 
@@ -96,7 +96,7 @@ defmodule Situ.Stage.Attachment do
   defp put(state, name, fun),
     do: %{state | outputs: Outputs.update_open(state.outputs, name, fun)}
 
-  @doc "A tap on an output, or behind the operator at `index` of a chain."
+  @doc "Adds a tap on an output, or after the operator at `index` of a chain."
   @spec tap(State.t(), map()) :: State.t()
   def tap(state, %{index: nil} = tap) do
     {:ok, output} = State.find_output(state, output: tap.output)
@@ -141,7 +141,7 @@ defmodule Situ.Stage.Attachment do
     before ++ [step | rest]
   end
 
-  @doc "Tells the taps inside the chain that nothing more will come."
+  @doc "Notifies the taps inside the chain that their stream has ended."
   @spec close_probes(State.t(), Situ.Time.t()) :: :ok
   def close_probes(%{chain: nil}, _time), do: :ok
 
@@ -153,7 +153,7 @@ defmodule Situ.Stage.Attachment do
   defp close_probe(tag, pid, time),
     do: send(pid, {:"$gen_consumer", {self(), tag}, {:cancel, {:shutdown, {:closed, time}}}})
 
-  @doc "A tap, or another subscriber, goes."
+  @doc "Removes a tap or another subscriber."
   @spec untap(State.t(), term()) :: State.t()
   def untap(state, tag) do
     state = %{state | outputs: Outputs.unsubscribe(state.outputs, &(&1.tag == tag))}
@@ -170,8 +170,8 @@ defmodule Situ.Stage.Attachment do
   defp probe?(_step, _tag), do: false
 
   @doc """
-  A subscriber without demand, so that nothing is lost before it asks; answers the last time that it will not see, or
-  when the output ended.
+  Adds a subscriber without demand, so that it loses no messages before its first request. Returns the last time that it
+  will not see, or the time at which the output ended.
   """
   @spec lend(State.t(), term(), atom(), pid(), term(), Situ.Delivery.t() | nil) ::
           {{:open, Situ.Time.t() | nil} | {:closed, Situ.Time.t()}, State.t()}
@@ -186,7 +186,7 @@ defmodule Situ.Stage.Attachment do
     end
   end
 
-  @doc "Another input, if the component takes it: it is asked for the first messages."
+  @doc "Adds an input if the component accepts it, and requests its first messages."
   @spec input(State.t(), term(), Situ.Time.t() | nil, map()) ::
           {:ok, term(), State.t()} | {:error, Error.t()}
   def input(%{phase: :failed}, _request, _last, _wiring), do: {:error, failed()}
@@ -221,7 +221,7 @@ defmodule Situ.Stage.Attachment do
     %{state | inputs: Inputs.put(state.inputs, input)}
   end
 
-  @doc "Asks the component to release an input that was added while it ran."
+  @doc "Asks the component to release an input that was added while it was running."
   @spec release(State.t(), term()) :: {:ok, term(), State.t()} | {:error, Error.t()}
   def release(%{phase: :failed}, _request), do: {:error, failed()}
 
@@ -233,7 +233,7 @@ defmodule Situ.Stage.Attachment do
          do: {:ok, reply, state |> Emission.reform(opts) |> Activation.act(core, actions, now)}
   end
 
-  @doc "The component has detached an input: the connection goes."
+  @doc "Removes the connection of an input that the component has detached."
   @spec left(State.t(), atom()) :: State.t()
   def left(state, name) do
     head = State.head(state)

@@ -1,6 +1,6 @@
 defmodule Situ.Stage.ChainRunner do
   @moduledoc false
-  # A batch of messages through a chain of light operators: one envelope at the end for each that comes through.
+  # Runs a batch of messages through a chain of light operators; each result gets one envelope, at the end.
   alias Situ.{Clock, Message}
   alias Situ.Component.Callback
   alias Situ.Operator.Chain
@@ -14,8 +14,8 @@ defmodule Situ.Stage.ChainRunner do
   @every 4
 
   @doc """
-  Runs the batch at clock time `now`; answers the state, the last originating time, how many messages were handled,
-  and those that are left because it took too long.
+  Runs the batch at clock time `now`. Returns the state, the last originating time, the number of handled messages, and
+  the messages left over because the batch took too long.
   """
   @spec batch(State.t(), [Message.t()], Situ.Time.t(), integer()) ::
           {State.t(), integer(), non_neg_integer(), [Message.t()]}
@@ -48,9 +48,9 @@ defmodule Situ.Stage.ChainRunner do
   end
 
   @doc """
-  Runs what a component has posted through the light operators behind it in its process. Before the start there is no
-  clock: what a source posts from `handle_start/2` waits for its first turn. With `:some` what takes too long is left
-  for another turn; with `:all` nothing is.
+  Runs messages that a component has posted through the light operators after it in its process. There is no clock
+  before the start, so messages that a source posts from `handle_start/2` wait for its first time slice. With `:some`,
+  messages may be left for another time slice if handling takes too long; with `:all`, none are left.
   """
   @spec tail(State.t(), :some | :all) :: State.t()
   def tail(%{outputs: %{tail: nil}} = state, _much), do: state

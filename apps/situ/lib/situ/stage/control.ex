@@ -1,7 +1,7 @@
 defmodule Situ.Stage.Control do
   @moduledoc false
-  # The requests of the pipeline's server to a stage: each request is one step of its life cycle, or a change while it
-  # runs.
+  # Handles the requests of the pipeline's server to a stage. Each request is a step of its life cycle or a change while
+  # it is running.
   alias Situ.{Clock, Error, Options}
   alias Situ.Component.Callback
   alias Situ.Operator.Chain
@@ -36,7 +36,7 @@ defmodule Situ.Stage.Control do
                         :refresh
                       ])
 
-  @doc "Answers the requests that wait behind other messages."
+  @doc "Handles requests that wait in the mailbox after other messages."
   @spec overtake(State.t()) :: State.t()
   def overtake(state) do
     receive do

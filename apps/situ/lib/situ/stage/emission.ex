@@ -1,7 +1,7 @@
 defmodule Situ.Stage.Emission do
   @moduledoc false
-  # A component's actions, applied to the state of its stage: all of it, or on the first bad action none. Then
-  # `settle/1` sends it.
+  # Applies a component's actions to the state of its stage: all of them, or none if one is invalid. Then `settle/1`
+  # sends the messages.
   alias Situ.{Error, Message}
   alias Situ.Clock.Timers
   alias Situ.Component.Callback
@@ -109,14 +109,14 @@ defmodule Situ.Stage.Emission do
   defp one(state, :stopped, _now), do: {:ok, state}
   defp one(state, action, _now), do: {:error, Callback.bad_action(state.callback.path, action)}
 
-  @doc "The component's options are others from now on."
+  @doc "Replaces the component's options."
   @spec reform(State.t(), keyword()) :: State.t()
   def reform(state, opts) do
     state = State.put_head(state, %{State.head(state) | opts: opts})
     %{state | callback: %{state.callback | opts: opts}}
   end
 
-  @doc "A source has said when it ends; told to the server once nothing waits for its time, before the rest goes out."
+  @doc "Records a source's end; the server is notified once no message waits for its time, before the rest is sent."
   @spec complete(State.t(), Situ.Time.t()) :: State.t()
   def complete(state, time) do
     {how, source} = Source.complete(state.source, time, Outputs.holding?(state.outputs))
@@ -168,8 +168,8 @@ defmodule Situ.Stage.Emission do
   end
 
   @doc """
-  Sends what is pending, publishes counts and asks for more. Slow operators behind a component leave the rest for
-  another turn, after what is in the mailbox.
+  Sends pending messages, publishes counts and requests more messages. Slow operators after a component leave
+  messages for another time slice, after the current mailbox.
   """
   @spec settle(State.t()) :: State.t()
   def settle(%{callback: nil} = state),
@@ -180,7 +180,7 @@ defmodule Situ.Stage.Emission do
     if state.outputs.left == [], do: state, else: %{state | pace: Pace.schedule(state.pace)}
   end
 
-  @doc "The same, and nothing is left: for a stage that closes, or is to stand still."
+  @doc "Settles and leaves no messages, for a stage that closes or pauses."
   @spec settle_all(State.t()) :: State.t()
   def settle_all(%{callback: nil} = state), do: settle(state)
   def settle_all(state), do: state |> ChainRunner.tail(:all) |> sent()

@@ -1,18 +1,18 @@
 defmodule Situ.Stage.ErrorPolicy do
   @moduledoc false
-  # The effect of an error on a stage, as its component's `on_error` says: a message lost, a restart, or the end.
+  # Applies an error to a stage as its component's `on_error` specifies: lose a message, restart, or fail.
   alias Situ.Error
   alias Situ.Clock.Timers
   alias Situ.Ports.{Outputs, Tally}
   alias Situ.Stage.{Source, State}
 
-  @doc "The decision about an error. While the pipeline starts, every error ends it."
+  @doc "Decides how to handle an error. While the pipeline is starting, every error ends it."
   @spec decide(State.t()) :: :skip | :restart | :fail
   def decide(%{phase: :starting}), do: :fail
   def decide(%{callback: %{on_error: :stop}}), do: :fail
   def decide(%{callback: %{on_error: on_error}}), do: on_error
 
-  @doc "The message at which the operator or component at `index` failed is lost."
+  @doc "Drops the message at which the operator or component at `index` failed."
   @spec skip(State.t(), Error.t(), non_neg_integer()) :: State.t()
   def skip(state, error, index \\ 0) do
     Tally.skipped(state.tally, index)
@@ -21,8 +21,8 @@ defmodule Situ.Stage.ErrorPolicy do
   end
 
   @doc """
-  The operator or component at `index` starts again with a fresh state; the message is lost. The server counts how
-  often.
+  Reports that the operator or component at `index` restarts with a fresh state; the message is lost. The server counts
+  the restarts.
   """
   @spec restarted(State.t(), Error.t(), non_neg_integer()) :: State.t()
   def restarted(state, error, index \\ 0) do
@@ -31,7 +31,7 @@ defmodule Situ.Stage.ErrorPolicy do
     state
   end
 
-  @doc "Nothing more is taken; what comes is thrown away."
+  @doc "Fails the stage: it takes no more messages and discards those that arrive."
   @spec fail(State.t(), Error.t()) :: State.t()
   def fail(%{phase: :failed} = state, _error), do: state
 
@@ -51,11 +51,11 @@ defmodule Situ.Stage.ErrorPolicy do
     Enum.min(times, fn -> nil end)
   end
 
-  @doc "Consumers from outside the pipeline learn that it failed."
+  @doc "Ends external consumers with the error."
   @spec abandon(State.t(), Error.t()) :: State.t()
   def abandon(state, error), do: %{state | outputs: Outputs.abandon(state.outputs, error)}
 
-  @doc "A source has posted its last message: the pipeline knows once nothing is held back any more."
+  @doc "Handles a source that has posted its last message; the pipeline is notified once no message is held back."
   @spec stopped(State.t()) :: State.t()
   def stopped(state) do
     held? = state.phase != :failed and Outputs.holding?(state.outputs)

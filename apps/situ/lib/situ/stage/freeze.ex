@@ -1,7 +1,7 @@
 defmodule Situ.Stage.Freeze do
   @moduledoc false
-  # A source that stands still, for a checkpoint: it makes nothing and takes nothing from its mailbox, but what it has
-  # posted still goes out as it is asked for, and changes of what is around it are made and answered.
+  # Pauses a source for a checkpoint. It emits nothing and takes nothing from its mailbox. Messages that it has
+  # posted are still sent on demand, and changes to its connections are still performed.
   alias Situ.Ports.{Output, Outputs}
   alias Situ.Stage.State
 
@@ -15,8 +15,8 @@ defmodule Situ.Stage.Freeze do
                       elem(request, 0) in [:tap, :untap, :replace, :guarantee, :lend])
 
   @doc """
-  Returns when `{:thaw, ref}` comes. `change` carries out a request and answers the state and the component's actions;
-  those are answered with the state at the end.
+  Returns when `{:thaw, ref}` arrives. `change` performs a request and returns the state and the component's actions.
+  The collected actions are returned with the final state.
   """
   @spec until(State.t(), reference(), (term(), State.t() -> {State.t(), [term()]})) ::
           {State.t(), [term()]}

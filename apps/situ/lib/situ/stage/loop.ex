@@ -1,7 +1,8 @@
 defmodule Situ.Stage.Loop do
   @moduledoc false
-  # A turn of a stage: it handles messages until there are none, the outputs are full, or its slice of time is over;
-  # then the stage takes the next entry of its mailbox. While another turn is due (Pace), new messages only queue up.
+  # Runs a time slice of a stage: it handles messages until there are none, the outputs are full, or the slice is over.
+  # Then the stage takes the next entry of its mailbox. While another slice is scheduled (Pace), new messages only
+  # queue.
   alias Situ.Clock
   alias Situ.Clock.Timers
   alias Situ.Ports.{Input, Inputs, Outputs}
@@ -11,7 +12,7 @@ defmodule Situ.Stage.Loop do
   @flush_ns 200_000
   @many 64
 
-  @doc "A batch arrived at the input `tag`, or `{:fresh, batch}`, all that the producer of a lossy input had."
+  @doc "Handles a batch at the input `tag`, or `{:fresh, batch}`: all messages held by a lossy input's producer."
   @spec arrived(State.t(), Input.t(), [Situ.Message.t()] | {:fresh, [Situ.Message.t()]}) ::
           State.t()
   def arrived(state, input, {:fresh, batch}),
@@ -37,7 +38,7 @@ defmodule Situ.Stage.Loop do
   def arrived(state, input, batch),
     do: state |> put_input(Input.push(input, batch)) |> turn_if_room()
 
-  @doc "A consumer asked for more."
+  @doc "Handles new demand of a consumer."
   @spec asked(State.t(), Outputs.t()) :: State.t()
   # Nothing waits in the chain: there is nothing to do.
   def asked(%{callback: nil, phase: :running, inputs: inputs} = state, outputs) do
@@ -56,12 +57,12 @@ defmodule Situ.Stage.Loop do
 
   defp turn_if_room(state), do: turn(state)
 
-  @doc "The input closes behind what waits in it."
+  @doc "Closes the input after its waiting messages."
   @spec closing(State.t(), Input.t(), Situ.Time.t()) :: State.t()
   def closing(state, input, time),
     do: state |> put_input(Input.push_closed(input, time)) |> turn()
 
-  @doc "A plain message for the component."
+  @doc "Handles a plain message for the component."
   @spec info(State.t(), term()) :: State.t()
   # A neighbour that started sooner may have closed already, a producer from outside may have failed: their words wait
   # until this stage runs, and an error is then what `on_error` says.
@@ -76,7 +77,7 @@ defmodule Situ.Stage.Loop do
     state |> State.wake() |> Activation.call(:handle_info, [message], now) |> turn()
   end
 
-  @doc "Plain messages that came before the stage ran, in their order."
+  @doc "Handles, in order, the plain messages that arrived before the stage was running."
   @spec early(State.t()) :: State.t()
   def early(%{pace: %{early: early} = pace} = state) do
     early
@@ -84,17 +85,17 @@ defmodule Situ.Stage.Loop do
     |> Enum.reduce(%{state | pace: %{pace | early: []}}, &info(&2, &1))
   end
 
-  @doc "Another process asks something of the component (`from` is `nil` for a cast)."
+  @doc "Handles a request of another process to the component (`from` is `nil` for a cast)."
   @spec request(State.t(), term(), GenServer.from() | nil) :: State.t()
   def request(state, request, from),
     do: state |> State.wake() |> Activation.request(request, from) |> turn()
 
-  @doc "Whether what comes is taken and goes out."
+  @doc "Sets whether the stage takes and sends messages (`:forward`) or not (`:accumulate`)."
   @spec demand(State.t(), :accumulate | :forward) :: State.t()
   def demand(state, mode),
     do: state |> State.demand(mode) |> State.wake() |> turn()
 
-  @doc "Something is due: timers, or messages ahead of time."
+  @doc "Handles the alarm: runs due timers and releases messages whose time has come."
   @spec ring(State.t()) :: State.t()
   # It is set again when the stage runs.
   def ring(%{phase: :starting} = state), do: %{state | timers: Timers.rang(state.timers)}
@@ -110,7 +111,7 @@ defmodule Situ.Stage.Loop do
   defp timer(_key, %{phase: :failed} = state, _now), do: state
   defp timer(key, state, now), do: Activation.call(state, :handle_info, [{:timer, key}], now)
 
-  @doc "A turn, unless one is on its way: then what is pending is sent."
+  @doc "Runs a time slice; if one is already scheduled, only sends pending messages."
   @spec turn(State.t()) :: State.t()
   def turn(%{pace: %{scheduled: true}} = state), do: finish(state)
 
@@ -142,7 +143,7 @@ defmodule Situ.Stage.Loop do
 
   defp unlock(state, _final), do: state
 
-  @doc "The turn that was on its way."
+  @doc "Runs the scheduled time slice."
   @spec again(State.t()) :: State.t()
   def again(%{pace: pace} = state), do: turn(%{state | pace: %{pace | scheduled: false}})
 

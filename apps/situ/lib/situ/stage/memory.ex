@@ -1,8 +1,8 @@
 defmodule Situ.Stage.Memory do
   @moduledoc false
-  # A stage's memory as plain data: the component's snapshot, the states of its operators, how far its outputs have
-  # come, its timers, the inputs that have closed. Taken while no message waits for it (see
-  # `Situ.Pipeline.Checkpointing`); a stage that starts with a memory goes on from there.
+  # A stage's snapshot as plain data: the component's snapshot, the states of its operators, the progress of its
+  # outputs, its timers and its closed inputs. It is taken while no messages wait for the stage (see
+  # `Situ.Pipeline.Checkpointing`). A stage that starts with a snapshot continues from there.
   alias Situ.Error
   alias Situ.Clock.Timers
   alias Situ.Component.Snapshot
@@ -22,7 +22,9 @@ defmodule Situ.Stage.Memory do
   @spec take(State.t()) :: {:ok, t()} | {:error, Error.t()}
   def take(%{phase: :failed} = state) do
     path = State.head(state).path
-    {:error, Error.new(:component_failed, "#{path} has failed: it has no state for a checkpoint")}
+
+    {:error,
+     Error.new(:component_failed, "#{path} has failed, so it has no state for a checkpoint")}
   end
 
   def take(state) do
@@ -66,7 +68,7 @@ defmodule Situ.Stage.Memory do
   defp mark(%Output{} = output),
     do: Map.take(output, [:last_time, :last_creation, :seq, :wanted, :future])
 
-  @doc "Before the component starts: its outputs go on behind what they have posted."
+  @doc "Prepares the outputs, before the component starts, to continue after the messages that they have posted."
   @spec prepare(State.t()) :: State.t()
   def prepare(%{memory: nil} = state), do: state
 
@@ -83,7 +85,7 @@ defmodule Situ.Stage.Memory do
 
   defp again(output, mark), do: output |> struct!(mark) |> Output.resume()
 
-  @doc "Behind the component's start: its state and all else; answers what is to be said of its end."
+  @doc "Restores the rest after the component's start; returns the actions that announce its end, if any."
   @spec put(State.t()) :: {:ok, State.t(), [Situ.Component.action()]} | {:error, Error.t()}
   def put(%{memory: nil} = state), do: {:ok, state, []}
 

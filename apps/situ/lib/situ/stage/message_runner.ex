@@ -1,12 +1,12 @@
 defmodule Situ.Stage.MessageRunner do
   @moduledoc false
-  # One message, or a batch, through a component: its callback, what it answered, and the counts.
+  # Runs one message or a batch through a component: calls the callback, applies the result and counts.
   alias Situ.Clock
   alias Situ.Component.Callback
   alias Situ.Ports.{Input, Inputs, Outputs}
   alias Situ.Stage.{Activation, Emission, Pace, State}
 
-  @doc "Takes the next entry of an input at clock time `now`, and answers the time after it."
+  @doc "Handles the next entry of an input at clock time `now`; returns the time after it."
   @spec one(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
   def one(state, input, now, final) do
     {entry, input} = Input.pop(input, now)
@@ -55,7 +55,7 @@ defmodule Situ.Stage.MessageRunner do
   defp wrong(state, error, input, message),
     do: Activation.wrong(state, Callback.at(error, input.name, message))
 
-  @doc "Components with `handle_messages/4` get what waits at once, as far as it is in time and there is room."
+  @doc "Passes the waiting messages to `handle_messages/4` in one batch, as far as time and room allow."
   @spec batch(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
   def batch(%{pace: %{singly: n} = pace} = state, input, now, final) when n > 0,
     do: one(%{state | pace: %{pace | singly: n - 1}}, input, now, final)
@@ -89,7 +89,7 @@ defmodule Situ.Stage.MessageRunner do
     end
   end
 
-  @doc "An input has closed, behind its last message."
+  @doc "Handles an input that has closed after its last message."
   @spec closed(State.t(), Input.t(), Situ.Time.t()) :: State.t()
   def closed(state, input, time) do
     {known?, inputs} = Inputs.close(state.inputs, input)
@@ -106,7 +106,7 @@ defmodule Situ.Stage.MessageRunner do
     })
   end
 
-  @doc "Sends what is pending. An input has closed when the component has given all that it had for it."
+  @doc "Sends pending messages; an input counts as closed once the component has emitted everything for it."
   @spec settled(State.t()) :: State.t()
   def settled(%{pace: %{closings: []}} = state), do: Emission.settle(state)
 

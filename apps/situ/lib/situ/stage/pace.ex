@@ -1,6 +1,6 @@
 defmodule Situ.Stage.Pace do
   @moduledoc false
-  # How much a stage does in one go: the slice of messages, whether another turn is on its way, the size of the heap.
+  # The scheduling of a stage: the number of messages per slice, whether another slice is scheduled, the heap size.
 
   @many 64
   @wide_words 32_768
@@ -20,11 +20,11 @@ defmodule Situ.Stage.Pace do
             looked: nil
 
   @typedoc """
-  `early`: plain messages that came before the stage ran, newest first. `quitting`: it ends once its outputs are
-  drained. `continue`: the component goes on with this, `{:some, term}`, before it takes anything else in;
-  `closings`: inputs that have closed meanwhile; `lingers`: it has something left for later, although they have.
-  `singly`: how many messages of a batch that failed are still to be taken one by one.
-  `looked`: how much it had taken when the server looked last whether it comes to an end.
+  `early` holds plain messages that arrived before the stage was running, newest first. With `quitting`, the stage ends
+  once its outputs are drained. With `continue: {:some, term}`, the component continues with this term before it takes
+  other messages. `closings` lists inputs that have closed since; `lingers` is true if the component still has output
+  left although they have. `singly` is the number of messages of a failed batch that are still to be handled one by one.
+  `looked` is how many messages had been taken at the server's last check for progress.
   """
   @type t :: %__MODULE__{
           slice: pos_integer(),
@@ -39,7 +39,7 @@ defmodule Situ.Stage.Pace do
           looked: non_neg_integer() | nil
         }
 
-  @doc "Another turn, after what is in the mailbox."
+  @doc "Schedules another time slice after the current mailbox."
   @spec schedule(t()) :: t()
   def schedule(%__MODULE__{scheduled: true} = pace), do: pace
 
@@ -49,7 +49,7 @@ defmodule Situ.Stage.Pace do
   end
 
   @doc """
-  Slices grow while they are quick, and shrink when they are slow: `n` messages took `elapsed` ns.
+  Adjusts the slice after `n` messages took `elapsed` ns: a quick slice grows, a slow one shrinks.
   """
   @spec resize(t(), non_neg_integer(), integer()) :: t()
   def resize(%__MODULE__{wide: false} = pace, n, elapsed) when n >= @many,
@@ -63,13 +63,13 @@ defmodule Situ.Stage.Pace do
     end
   end
 
-  @doc "A batch took too long after `n` messages: the next one is to take a millisecond or so."
+  @doc "Shrinks the slice after a batch of `n` messages took too long; the next one should take about a millisecond."
   @spec slow(t(), pos_integer()) :: t()
   def slow(%__MODULE__{} = pace, n), do: %{pace | slice: max(div(n, 5), 1)}
 
   @doc """
-  A stage that handles many messages at once is given a heap that holds them, once: they would otherwise be copied by
-  one collection after another.
+  Enlarges the heap, once, of a stage that handles many messages in one slice. Otherwise successive garbage collections
+  would copy the messages again and again.
   """
   @spec widen(t(), non_neg_integer() | :infinity) :: t()
   def widen(%__MODULE__{wide: false} = pace, n) when n >= @many do

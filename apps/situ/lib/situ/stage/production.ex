@@ -1,6 +1,6 @@
 defmodule Situ.Stage.Production do
   @moduledoc false
-  # The work of a source besides answering: it produces while there is demand, and stops when it is asked to.
+  # Makes a source produce messages while there is demand, and stops it on request.
   alias Situ.{Clock, Error}
   alias Situ.Clock.Timers
   alias Situ.Ports.{Output, Outputs, Tally}
@@ -10,7 +10,7 @@ defmodule Situ.Stage.Production do
   # No further than the clock, when that is enforced: what is made ahead of it has to be held.
   @most_ahead 8
 
-  @doc "A pull source is asked while there is room; answers whether it may have more."
+  @doc "Asks a pull source for messages while there is room; returns whether it may have more."
   @spec produce(State.t(), Situ.Time.t()) :: {:more | :enough, State.t()}
   def produce(state, now) do
     room = if Source.ready?(state.source), do: room(state), else: 0
@@ -72,7 +72,7 @@ defmodule Situ.Stage.Production do
     )
   end
 
-  @doc "Asked to stop: nothing later than `final` goes out any more."
+  @doc "Stops the source; it sends nothing later than `final`."
   @spec stop(State.t(), Situ.Time.t()) :: State.t()
   def stop(%{source: %{stopping: nil}} = state, final) do
     state = %{
@@ -93,7 +93,7 @@ defmodule Situ.Stage.Production do
 
   def stop(state, _final), do: state
 
-  @doc "Asked to stop at once: what it holds back is lost."
+  @doc "Stops the source immediately; messages that it holds back are lost."
   @spec stop_now(State.t()) :: State.t()
   def stop_now(%{source: %{stopping: :done}} = state), do: state
 
@@ -106,7 +106,7 @@ defmodule Situ.Stage.Production do
     ErrorPolicy.stopped(state)
   end
 
-  @doc "No output is held back any more: reports the completion or the stop that waited for this."
+  @doc "Reports a completion or stop that was waiting until no message is held back."
   @spec released(State.t()) :: State.t()
   def released(%{source: %{completing: nil, stopping: stopping}} = state)
       when stopping != :held,

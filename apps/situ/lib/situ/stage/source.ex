@@ -1,15 +1,15 @@
 defmodule Situ.Stage.Source do
   @moduledoc false
-  # How far a source has come with its end. Pure; Production makes it produce and stop.
+  # Tracks how a source ends. Pure; Production makes it produce and stop.
 
   @strikes 10
 
   defstruct [:kind, :completing, :stopping, :final, completed: false, idle: false, strikes: 0]
 
   @typedoc """
-  `kind`: asked for messages, makes them by itself, or no source at all. `completing`: the last time, to be told once
-  nothing is held back. `stopping`: how far a stop has come. `final`: nothing later than this goes out. `idle`: has
-  nothing until something happens. `strikes`: errors in a row.
+  `kind` is a pull source, a push source, or not a source. `completing` is the last time, reported once no message is
+  held back. `stopping` is the progress of a stop. Nothing later than `final` is sent. An `idle` source has no messages
+  until an event occurs. `strikes` counts consecutive errors.
   """
   @type t :: %__MODULE__{
           kind: :pull | :push | nil,
@@ -32,19 +32,19 @@ defmodule Situ.Stage.Source do
     end
   end
 
-  @doc "Something happened: a source that had nothing may have something."
+  @doc "Wakes an idle source after an event, because it may have messages again."
   @spec wake(t()) :: t()
   def wake(%__MODULE__{idle: false} = source), do: source
   def wake(%__MODULE__{} = source), do: %{source | idle: false}
 
-  @doc "Whether it may be asked for messages."
+  @doc "Returns whether the source may be asked for messages."
   @spec ready?(t()) :: boolean()
   def ready?(%__MODULE__{kind: :pull, completed: false, idle: false, stopping: stopping}),
     do: stopping in [nil, :stopping]
 
   def ready?(%__MODULE__{}), do: false
 
-  @doc "It ends at `time`; `held?`: messages wait for their time. `:tell` when the pipeline is to know now."
+  @doc "Records the end at `time`; returns `:tell` to report it now, or `:later` if messages are held back (`held?`)."
   @spec complete(t(), Situ.Time.t(), boolean()) :: {:tell | :later, t()}
   def complete(%__MODULE__{completed: true, completing: nil} = source, _time, _held?),
     do: {:later, source}
@@ -55,24 +55,24 @@ defmodule Situ.Stage.Source do
   def complete(%__MODULE__{} = source, _time, false),
     do: {:tell, %{source | completing: nil, completed: true}}
 
-  @doc "Asked to stop at `final`."
+  @doc "Requests a stop at `final`."
   @spec ask(t(), Situ.Time.t()) :: t()
   def ask(%__MODULE__{} = source, final), do: %{source | final: final, stopping: :asked}
 
-  @doc "It goes on until it says that it has stopped."
+  @doc "Marks a source that is stopping and will report when it has stopped."
   @spec stopping(t()) :: t()
   def stopping(%__MODULE__{stopping: :asked} = source), do: %{source | stopping: :stopping}
   def stopping(%__MODULE__{} = source), do: source
 
-  @doc "It has posted its last message; `held?`: not all of them are out."
+  @doc "Marks a source that has posted its last message; `held?` means that some messages are still held back."
   @spec stopped(t(), boolean()) :: {:tell | :later, t()}
   def stopped(%__MODULE__{stopping: :done} = source, _held?), do: {:later, source}
   def stopped(%__MODULE__{} = source, true), do: {:later, %{source | stopping: :held}}
   def stopped(%__MODULE__{} = source, false), do: {:tell, %{source | stopping: :done}}
 
   @doc """
-  Judges a source's answer to demand. A source that emitted nothing is asked again at the next event; a source that
-  failed is asked again at once, up to `strikes/0` times in a row, since no message is consumed by a failure.
+  Judges a source's response to demand. A source that emitted nothing is asked again after the next event. A source that
+  failed is asked again immediately, up to `strikes/0` times in a row, because a failure consumes no message.
   """
   @spec judge(t(), emitted? :: boolean(), harmed? :: boolean(), repeated? :: boolean()) ::
           {:ok | :no_way_on, t()}
@@ -86,7 +86,7 @@ defmodule Situ.Stage.Source do
 
   def judge(%__MODULE__{} = source, false, true, _repeated?), do: {:no_way_on, source}
 
-  @doc "How many errors in a row are too many."
+  @doc "Returns how many consecutive errors are too many."
   @spec strikes() :: pos_integer()
   def strikes, do: @strikes + 1
 end

@@ -1,13 +1,14 @@
 defmodule Situ.Stage do
   @moduledoc false
-  # The process of one component, or of one chain of light operators: its mailbox. A message goes down through it:
+  # The process of one component, or of one chain of light operators: its mailbox. A message passes through these
+  # modules:
   #
   #   Stage          an entry of the mailbox
-  #   Control        what the pipeline's server asks      Loop        which message is next, and how many
-  #   Attachment     connections that come and go         Production  sources: asked for messages, stopped
-  #                  MessageRunner, ChainRunner   a message through the component, a batch through its operators
-  #                  Activation                a call into the component, and errors (ErrorPolicy)
-  #                  Emission                  what came of it: posted (Posting), closed, timed; then sent
+  #   Control        requests of the pipeline's server    Loop        selects the next messages, and how many
+  #   Attachment     connections added and removed        Production  asks sources for messages and stops them
+  #                  MessageRunner, ChainRunner   run a message through the component, a batch through its operators
+  #                  Activation                calls the component and handles errors (ErrorPolicy)
+  #                  Emission                  applies the actions: post (Posting), close, set timers; then sends
   #                  Outputs, Inputs, Timers, Source, Pace: the parts of the State, each owned by one module
   #
   # It speaks GenStage's messages with its neighbours (see Situ.GenStage), `{:situ, request}` from its pipeline's server
@@ -22,11 +23,11 @@ defmodule Situ.Stage do
   # A plain message that took this long (ns) is overtaken by requests: many more may be waiting.
   @slow :erlang.convert_time_unit(1, :millisecond, :native)
 
-  @doc "No final time yet: what the control cell holds until the pipeline stops."
+  @doc "Returns the content of the control cell until the pipeline stops: no final time."
   @spec never() :: integer()
   defdelegate never, to: State
 
-  @doc "Whether the stage with this control cell waits for somebody outside of the pipeline, or for the clock."
+  @doc "Returns whether the stage with this control cell waits for the outside world or for the clock."
   @spec patient?(:atomics.atomics_ref()) :: boolean()
   defdelegate patient?(control), to: State
 

@@ -1,7 +1,7 @@
 defmodule Situ.Stage.State do
   @moduledoc false
-  # The state of a stage: a part for each concern, owned by the module of its type. Here are only the making and the
-  # wiring.
+  # The state of a stage: one part for each concern, owned by the module of its type. This module only builds and wires
+  # the state.
   alias Situ.{Clock, Error}
   alias Situ.Clock.Timers
   alias Situ.Component.{Callback, Context}
@@ -32,10 +32,10 @@ defmodule Situ.Stage.State do
   ]
 
   @typedoc """
-  `owner`: the pipeline's server, and the stage's number there. `callback` is the component, `chain` its light
-  operators or those behind it (one of the two may be `nil`). `control` are shared cells: the time up to which
-  messages count, and whether the stage is patient. `phase`: `:failed` takes nothing any more. `memory` is what it
-  starts with (see Memory).
+  `owner` is the pipeline's server and the stage's id there. `callback` is the component; `chain` its light
+  operators, or those after it (one of the two may be `nil`). `control` holds shared cells: the time up to which
+  messages count, and whether the stage is patient. In phase `:failed` it takes no more messages. `memory` is the
+  snapshot that it starts with (see Memory).
   """
   @type t :: %__MODULE__{
           owner: {server :: pid(), id :: pos_integer()},
@@ -55,7 +55,7 @@ defmodule Situ.Stage.State do
           phase: :starting | :running | :failed
         }
 
-  @doc "No final time yet: what the control cell holds until the pipeline stops."
+  @doc "Returns the content of the control cell until the pipeline stops: no final time."
   @spec never() :: integer()
   def never, do: @never
 
@@ -83,7 +83,7 @@ defmodule Situ.Stage.State do
     %{chain | counters: args[:tail_counters], sizes: args[:sizes]}
   end
 
-  @doc "The component's first state."
+  @doc "Initializes the component's state."
   @spec init(t()) :: {:ok, t()} | {:error, Error.t()}
   def init(%{callback: nil} = state), do: {:ok, state}
 
@@ -92,7 +92,7 @@ defmodule Situ.Stage.State do
          do: {:ok, %{state | callback: callback}}
   end
 
-  @doc "Clock, neighbours and their counters, known when every stage is up."
+  @doc "Sets the clock, the neighbours and their counters, which are known once every stage is up."
   @spec wire(t(), map()) :: t()
   def wire(state, wiring) do
     outputs =
@@ -130,7 +130,7 @@ defmodule Situ.Stage.State do
     Input.new(inlet.name, inlet.tag, inlet.producer, inlet.policy, extra)
   end
 
-  @doc "A neighbour was restarted under another pid."
+  @doc "Replaces the pid of a restarted neighbour."
   @spec rewire(t(), term(), pid()) :: t()
   def rewire(state, tag, pid) do
     inputs =
@@ -150,7 +150,7 @@ defmodule Situ.Stage.State do
     %{state | inputs: inputs, outputs: outputs}
   end
 
-  @doc "The output a subscriber asks for with `output: name`; the only one needs no name."
+  @doc "Returns the output named in `output: name`; a single output needs no name."
   @spec find_output(t(), keyword()) :: {:ok, Output.t()} | {:error, Error.t()}
   def find_output(state, opts) do
     case {Keyword.fetch(opts, :output), Outputs.open(state.outputs)} do
@@ -163,29 +163,29 @@ defmodule Situ.Stage.State do
   defp named({_, output}, _state, _opts), do: {:ok, output}
   defp named(nil, state, opts), do: {:error, no_output(state, opts)}
 
-  @doc "The component in front, or the first operator of a chain."
+  @doc "Returns the component, or the first operator of a chain."
   @spec head(t()) :: Vertex.t()
   def head(%{vertices: [head | _]}), do: head
 
-  @doc "Changes the component in front."
+  @doc "Replaces the component, or the first operator of a chain."
   @spec put_head(t(), Vertex.t()) :: t()
   def put_head(%{vertices: [_ | rest]} = state, head), do: %{state | vertices: [head | rest]}
 
-  @doc "The context for a callback, with the current time."
+  @doc "Returns the context for a callback, with the current time."
   @spec context(t(), Situ.Time.t()) :: Context.t()
   def context(%{context: context}, now), do: %{context | now: now}
 
-  @doc "Up to which time messages count."
+  @doc "Returns the time up to which messages count."
   @spec final(t()) :: integer()
   def final(%{control: nil}), do: @never
   def final(%{control: control}), do: :atomics.get(control, 1)
 
-  @doc "Whether what comes is taken and goes out."
+  @doc "Sets whether messages are taken and sent."
   @spec demand(t(), :accumulate | :forward) :: t()
   def demand(state, mode),
     do: patience(%{state | outputs: %{state.outputs | demand: mode}}, mode == :accumulate)
 
-  @doc "It waits for somebody outside of the pipeline, or for the clock: nobody shall take that for being stuck."
+  @doc "Sets whether the stage waits for the outside world or for the clock, so that it does not count as stuck."
   @spec patience(t(), boolean()) :: t()
   def patience(%{control: nil} = state, _waits?), do: state
 
@@ -197,12 +197,12 @@ defmodule Situ.Stage.State do
   @spec patient?(:atomics.atomics_ref()) :: boolean()
   def patient?(control), do: :atomics.get(control, 2) == 1
 
-  @doc "Something happened that a source without messages may have waited for."
+  @doc "Wakes a source without messages after an event that it may have been waiting for."
   @spec wake(t()) :: t()
   def wake(%{source: %{idle: false}} = state), do: state
   def wake(state), do: %{state | source: Source.wake(state.source)}
 
-  @doc "Tells the pipeline's server."
+  @doc "Reports an event to the pipeline's server."
   @spec report(t(), term()) :: term()
   def report(%{owner: {server, id}}, event), do: send(server, {:situ_stage, id, event})
 

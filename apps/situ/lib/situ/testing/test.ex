@@ -1,14 +1,14 @@
 defmodule Situ.Test do
   @moduledoc """
-  Tests of pipelines and components without sleeping: feed messages, move the clock by hand, look at what comes out.
+  Tests pipelines and components without sleeping: feed messages, move the clock by hand, and check the outputs.
 
-  At once, as fast as possible:
+  In a single run, as fast as possible:
 
       iex> inputs = [left: [{0, 1}, {10, 2}], right: [{0, :a}, {10, :b}]]
       iex> Situ.Test.run(inputs, fn %{left: left, right: right} -> Situ.join(left, right) end)
       {:ok, [{0, {1, :a}}, {10, {2, :b}}]}
 
-  Step by step, when arrival and the clock matter:
+  Step by step, if the arrival of messages and the clock matter:
 
       iex> t = Situ.Test.start([:number], fn %{number: number} -> Situ.map(number, & &1 * 2) end)
       iex> Situ.Test.feed(t, :number, [{0, 1}, {5, 2}])
@@ -21,9 +21,9 @@ defmodule Situ.Test do
       iex> report.errors
       []
 
-  The function gets a map of input streams and returns a stream, or a list or map of streams; outputs have its
-  shape. A pipeline under test runs by a manual clock that starts at 0 (`start:`), so a message at 5 ns comes when
-  the clock is at 5 ns. `p` of the pipeline is any stream's `stream.pipeline`; for pipelines without inputs the
+  The function receives a map of input streams and returns a stream, or a list or map of streams; the outputs have the
+  same shape. A pipeline under test uses a manual clock that starts at 0 (`start:`), so a message at 5 ns arrives when
+  the clock is at 5 ns. The pipeline `p` is the `stream.pipeline` of any stream; for pipelines without inputs the
   function may take the pipeline as a second argument.
 
   `Situ.Test.Property` and `Situ.Test.Gen` are for property tests.
@@ -42,8 +42,8 @@ defmodule Situ.Test do
           | (%{term() => Stream.t()}, Pipeline.t() -> Collector.streams())
 
   @doc """
-  Runs to the end: each input gives its messages and closes. Returns `{:ok, [{time, data}]}` (in the shape of what
-  `build` returned) or `{:error, error}`. Times count from 0; `opts` may hold `pipeline:` settings.
+  Runs a pipeline to its end: each input emits its messages and closes. Returns `{:ok, [{time, data}]}`, in the shape
+  that `build` returned, or `{:error, error}`. Times count from 0; `opts` may contain `pipeline:` settings.
   """
   @spec run(keyword([timed()]) | %{term() => [timed()]}, build(), keyword()) ::
           {:ok, term()} | {:error, Situ.Error.t()}
@@ -63,7 +63,7 @@ defmodule Situ.Test do
     with {:ok, collected} <- Collector.collect(spec, opts), do: {:ok, timed(collected)}
   end
 
-  @doc "Starts a pipeline with these inputs, in a clock that stands at `start:` (default 0) until `advance/2` moves it."
+  @doc "Starts a pipeline with these inputs and a manual clock at `start:` (default 0), moved by `advance/2`."
   @spec start([term()], build(), keyword()) :: t()
   def start(inputs, build, opts \\ []) do
     {start, opts} = Keyword.pop(opts, :start, 0)
@@ -89,14 +89,14 @@ defmodule Situ.Test do
     end
   end
 
-  @doc "Sends messages `{time, data}` (one or a list) into an input."
+  @doc "Sends messages `{time, data}` (one or a list) to an input."
   @spec feed(t(), term(), timed() | [timed()]) :: :ok
   def feed(%__MODULE__{} = test, input, messages) do
     send(pid(test, input), {:situ_feed, List.wrap(messages)})
     settle(test)
   end
 
-  @doc "Ends an input, at its last message's time or at `time`."
+  @doc "Closes an input, at its last message's time or at `time`."
   @spec close(t(), term(), Situ.Time.t() | nil) :: :ok
   def close(%__MODULE__{} = test, input, time \\ nil) do
     send(pid(test, input), {:situ_close, time})
@@ -110,7 +110,7 @@ defmodule Situ.Test do
     settle(test)
   end
 
-  @doc "The outputs since the last call; waits until the pipeline has handled all messages it was fed."
+  @doc "Returns the outputs since the last call, after the pipeline has handled all messages that it was fed."
   @spec outputs(t()) :: term()
   def outputs(%__MODULE__{} = test) do
     settle(test)
@@ -122,7 +122,7 @@ defmodule Situ.Test do
     end
   end
 
-  @doc "Stops the pipeline: its report, or the error that ended it."
+  @doc "Stops the pipeline; returns its report, or the error that ended it."
   @spec stop(t()) :: Pipeline.result()
   def stop(%__MODULE__{} = test) do
     case Pipeline.stop(test.pipeline) do
@@ -138,10 +138,10 @@ defmodule Situ.Test do
   defp pid(test, input) do
     Map.get(test.inputs, input) ||
       raise ArgumentError,
-            "no input #{inspect(input)}; there are: #{inspect(Map.keys(test.inputs))}"
+            "no input #{inspect(input)}; the inputs are: #{inspect(Map.keys(test.inputs))}"
   end
 
-  # The clock must not move before it has been read as the start time.
+  # The clock must not move before the pipeline has read it as its start time.
   defp running(pid) do
     if Pipeline.state(pid) in [:building, :starting], do: running(pid), else: :ok
   end

@@ -1,14 +1,14 @@
 defmodule Situ.Component.Callback do
   @moduledoc false
-  # A component and the calls into it: whatever comes back or goes wrong becomes a value. Nothing here knows of
-  # processes.
+  # A component and the calls to its callbacks. Every result or exception becomes a value. This module does not depend
+  # on processes.
   alias Situ.{Component, Error, Message}
   alias Situ.Component.Functions
 
   @enforce_keys [:module, :path, :opts, :on_error]
   defstruct [:module, :path, :opts, :on_error, :core, batch: false]
 
-  @typedoc "`core` is the component's state; `batch`: it takes several messages at once."
+  @typedoc "`core` is the component's state; `batch` is true if it handles several messages in one call."
   @type t :: %__MODULE__{
           module: module(),
           path: String.t(),
@@ -19,7 +19,7 @@ defmodule Situ.Component.Callback do
         }
   @type outcome :: {:ok, [Component.action()], Component.state()} | {:error, Error.t()}
 
-  @doc "The component of a vertex, before its `init/1`."
+  @doc "Builds the component of a vertex, before its `init/1`."
   @spec new(Situ.Graph.Vertex.t()) :: t()
   def new(vertex) do
     %__MODULE__{
@@ -31,24 +31,24 @@ defmodule Situ.Component.Callback do
     }
   end
 
-  @doc "With its first state."
+  @doc "Initializes the component's state."
   @spec start(t()) :: {:ok, t()} | {:error, Error.t()}
   def start(%__MODULE__{} = callback) do
     with {:ok, core} <- init(callback.module, callback.opts, callback.path),
          do: {:ok, %{callback | core: core}}
   end
 
-  @doc "Releases what it holds."
+  @doc "Releases the component's resources."
   @spec stop(t(), term()) :: :ok | {:error, Error.t()}
   def stop(%__MODULE__{} = callback, reason),
     do: terminate(callback.module, reason, callback.core, callback.path)
 
-  @doc "Calls any callback that answers `{actions, state}`; the state comes last among its arguments."
+  @doc "Calls any callback that returns `{actions, state}`; the state is its last argument."
   @spec call(t(), atom(), [term()]) :: outcome()
   def call(%__MODULE__{} = callback, name, args),
     do: run(callback.module, name, args ++ [callback.core], callback.path)
 
-  @doc "One line about its state, if it has any to say."
+  @doc "Returns the component's one-line description, or `nil` if it does not define `describe/1`."
   @spec describe(t()) :: String.t() | nil
   def describe(%__MODULE__{module: module, core: core}) do
     if function_exported?(module, :describe, 1), do: module.describe(core)
@@ -57,8 +57,8 @@ defmodule Situ.Component.Callback do
   end
 
   @doc """
-  Another module or other options in its place: with `migrate/3` the state is carried over, otherwise the new one
-  starts. Its first actions are answered as well.
+  Replaces the component's module or options. With `migrate/3` the state is migrated; otherwise the new component is
+  started. Also returns the actions of its start.
   """
   @spec replace(t(), module(), keyword(), Component.Context.t()) ::
           {:ok, t(), [Component.action()]} | {:error, Error.t()}
@@ -72,8 +72,8 @@ defmodule Situ.Component.Callback do
   end
 
   @doc """
-  Other functions in the place of those of its options, and the state that it has: what holds them in it holds the new
-  ones from now on. A component with `migrate/3` sees to that by itself.
+  Replaces the functions in the component's options, and the same functions in its state. A component with `migrate/3`
+  does this itself.
   """
   @spec renew(t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def renew(%__MODULE__{} = old, opts) do
@@ -103,7 +103,7 @@ defmodule Situ.Component.Callback do
     end
   end
 
-  @doc "`init/1`, which answers `{:ok, state}` or `{:error, error}`."
+  @doc "Calls `init/1`, which returns `{:ok, state}` or `{:error, error}`."
   @spec init(module(), keyword(), String.t()) :: {:ok, term()} | {:error, Error.t()}
   def init(module, opts, path) do
     case module.init(opts) do
@@ -115,7 +115,7 @@ defmodule Situ.Component.Callback do
     kind, reason -> {:error, failure(path, "init", kind, reason, __STACKTRACE__)}
   end
 
-  @doc "Any callback that answers `{actions, state}`."
+  @doc "Calls any callback that returns `{actions, state}`."
   @spec run(module(), atom(), [term()], String.t()) :: outcome()
   def run(module, callback, args, path) do
     module |> apply(callback, args) |> checked(callback, path)
@@ -123,7 +123,7 @@ defmodule Situ.Component.Callback do
     kind, reason -> {:error, failure(path, callback, kind, reason, __STACKTRACE__)}
   end
 
-  @doc "`handle_message/4`, the callback that is called most."
+  @doc "Calls `handle_message/4`, the most frequent callback."
   @spec message(t(), atom(), Message.t(), Component.Context.t()) :: outcome()
   def message(%__MODULE__{module: module, path: path, core: core}, input, message, context) do
     case module.handle_message(input, message, context, core) do
@@ -136,7 +136,7 @@ defmodule Situ.Component.Callback do
       {:error, at(error, input, message)}
   end
 
-  @doc "`handle_messages/4`; `:failed` for whatever goes wrong, since the messages are then taken one by one."
+  @doc "Calls `handle_messages/4`; returns `:failed` on any failure, because the messages are then handled one by one."
   @spec messages(t(), atom(), [Message.t()], Component.Context.t()) ::
           {:ok, [Component.action()], Component.state()} | :failed
   def messages(%__MODULE__{module: module, core: core}, input, messages, context) do
@@ -148,7 +148,7 @@ defmodule Situ.Component.Callback do
     _kind, _reason -> :failed
   end
 
-  @doc "A callback that answers `{:ok, reply, opts, actions, state}` or `{:error, error}`."
+  @doc "Calls a callback that returns `{:ok, reply, opts, actions, state}` or `{:error, error}`."
   @spec ask(t(), atom(), [term()]) ::
           {:ok, term(), keyword(), [Component.action()], Component.state()} | {:error, Error.t()}
   def ask(%__MODULE__{module: module, path: path, core: core}, callback, args) do
@@ -167,7 +167,7 @@ defmodule Situ.Component.Callback do
     kind, reason -> {:error, failure(path, callback, kind, reason, __STACKTRACE__)}
   end
 
-  @doc "Release: a raising `terminate/2` is an error like any other, but stops nothing."
+  @doc "Calls `terminate/2`. An exception in it becomes an error like any other, but stops nothing."
   @spec terminate(module(), term(), term(), String.t()) :: :ok | {:error, Error.t()}
   def terminate(module, reason, state, path) do
     module.terminate(reason, state)
@@ -176,7 +176,7 @@ defmodule Situ.Component.Callback do
     kind, reason -> {:error, failure(path, "terminate", kind, reason, __STACKTRACE__)}
   end
 
-  @doc "An exception as an error that names the component and where it was."
+  @doc "Converts an exception to an error that names the component and the callback or input."
   @spec failure(String.t(), term(), atom(), term(), list()) :: Error.t()
   def failure(path, _where, :error, %Error{} = error, stack),
     do: located(%{error | meta: Map.put_new(error.meta, :stacktrace, stack)}, path)
@@ -197,7 +197,7 @@ defmodule Situ.Component.Callback do
     )
   end
 
-  @doc "Adds the input and the message's time."
+  @doc "Adds the input and the message's originating time to an error."
   @spec at(Error.t(), atom(), Message.t()) :: Error.t()
   def at(%Error{} = error, input, message) do
     meta = Map.merge(error.meta, %{input: input, originating_time: message.originating_time})
@@ -209,11 +209,14 @@ defmodule Situ.Component.Callback do
   def located(%Error{} = error, path),
     do: %{error | meta: Map.put_new(error.meta, :component, path)}
 
-  @doc "The error of an action that is none."
+  @doc "Returns the error for an invalid action."
   @spec bad_action(String.t(), term()) :: Error.t()
   def bad_action(path, action) do
-    Error.new(:bad_action, "#{path} returned #{inspect(action, limit: 8)}, which is no action",
-      fix: "see Situ.Component: {output, originating_time, data}, {:timer, key, time}, ...",
+    Error.new(
+      :bad_action,
+      "#{path} returned #{inspect(action, limit: 8)}, which is not an action",
+      fix:
+        "return actions from Situ.Component: {output, originating_time, data}, {:timer, key, time}, ...",
       meta: %{component: path}
     )
   end

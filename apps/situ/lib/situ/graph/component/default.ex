@@ -1,6 +1,6 @@
 defmodule Situ.Component.Default do
   @moduledoc false
-  # The defaults for callbacks that a component leaves out.
+  # The default implementations of callbacks that a component does not define.
 
   def init(opts), do: {:ok, opts}
   def handle_start(_context, state), do: {[], state}

@@ -1,5 +1,5 @@
 defmodule Situ.Component.Empty do
-  @moduledoc "A component without inputs and outputs that is done at once: the smallest one there is."
+  @moduledoc "A component without inputs or outputs that completes immediately; the smallest possible component."
   use Situ.Component
 
   @impl true

@@ -1,7 +1,7 @@
 defmodule Situ.Component.Functions do
   @moduledoc false
-  # The functions inside a component's options, matched by position: a code change replaces those of the old version
-  # of a module by those of the new one, also inside the component's state. Pure.
+  # The functions in a component's options, matched by position. A code change replaces the functions of the old version
+  # of a module with their new versions, in the component's state as well. Pure.
 
   @typedoc "Each old function with its replacement."
   @type exchange :: %{fun() => fun()}
@@ -41,7 +41,7 @@ defmodule Situ.Component.Functions do
   defp arity(fun), do: :erlang.fun_info(fun, :arity)
 
   @doc """
-  The term with its functions replaced; everything else stays.
+  Returns the term with its functions replaced and everything else unchanged.
 
       iex> {f, g} = {&String.upcase/1, &String.downcase/1}
       iex> Situ.Component.Functions.exchange(%{fun: f, seen: [{1, f}]}, %{f => g}) == %{fun: g, seen: [{1, g}]}

@@ -1,18 +1,18 @@
 defmodule Situ.Component.Snapshot do
   @moduledoc false
-  # The state of a component as plain data that another process, on another machine, can take up; see
+  # The state of a component as plain data that a process on another machine can restore; see
   # `c:Situ.Component.snapshot/1`.
   #
-  # Without that callback the state itself is the snapshot. Functions in it (options of operators, mostly) are left
-  # out: they are code, not data. The process that takes the snapshot up has started from the same options, so that it
-  # has the same functions in the same places, and fills them in again.
+  # Without that callback, the state itself is the snapshot. Functions in it (mostly options of operators) are
+  # removed, because they are code, not data. The process that restores the snapshot has started with the same
+  # options, so it has the same functions at the same positions and inserts them again.
   alias Situ.Error
 
   @hole :"$situ_fun"
 
   @type t :: {:own, term()} | {:plain, term()}
 
-  @doc "The snapshot of `core`, the state of a component at `path`."
+  @doc "Takes the snapshot of `core`, the state of a component at `path`."
   @spec take(module(), term(), String.t()) :: {:ok, t()} | {:error, Error.t()}
   def take(module, core, path) do
     if function_exported?(module, :snapshot, 1) do
@@ -26,23 +26,23 @@ defmodule Situ.Component.Snapshot do
 
   defp own({:ok, own}, _path), do: {:ok, own}
   defp own({:error, %Error{} = error}, _path), do: {:error, error}
-  defp own(other, path), do: {:error, failed(path, "snapshot", "it answered #{brief(other)}")}
+  defp own(other, path), do: {:error, failed(path, "snapshot", "it returned #{brief(other)}")}
 
-  @doc "Any state that is data alone; functions become holes."
+  @doc "Returns a state of plain data with each function replaced by a placeholder."
   @spec plain(term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
   def plain(term, path) do
     {:ok, strip(term)}
   catch
     {:situ_not_data, what} ->
       {:error,
-       Error.new(:no_snapshot, "#{path} cannot be carried over: its state holds #{what}",
-         why: "processes, ports and references mean nothing in another process or machine",
+       Error.new(:no_snapshot, "cannot take a snapshot of #{path}: its state holds #{what}",
+         why: "processes, ports and references are not valid in another process or machine",
          fix: "define snapshot/1 and restore/2 in the component",
          meta: %{component: path}
        )}
   end
 
-  @doc "The state `fresh`, which has just started, with what the snapshot says."
+  @doc "Restores the snapshot into `fresh`, the state of a component that has just started."
   @spec put(module(), t(), term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
   def put(_module, {:plain, plain}, fresh, path), do: fill(plain, fresh, path)
 
@@ -50,22 +50,22 @@ defmodule Situ.Component.Snapshot do
     case module.restore(own, fresh) do
       {:ok, core} -> {:ok, core}
       {:error, %Error{} = error} -> {:error, error}
-      other -> {:error, failed(path, "restore", "it answered #{brief(other)}")}
+      other -> {:error, failed(path, "restore", "it returned #{brief(other)}")}
     end
   rescue
     error -> {:error, failed(path, "restore", Exception.message(error))}
   end
 
-  @doc "Puts the functions of `fresh` into the holes of `plain`."
+  @doc "Replaces the placeholders in `plain` with the functions at the same positions in `fresh`."
   @spec fill(term(), term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
   def fill(plain, fresh, path) do
     {:ok, patch(plain, fresh)}
   catch
     :situ_no_function ->
       {:error,
-       Error.new(:no_restore, "#{path} cannot be restored: its state keeps functions",
+       Error.new(:no_restore, "#{path} cannot be restored: its state contains functions",
          why:
-           "a checkpoint holds no functions, and the component's initial state has none in that place",
+           "a checkpoint contains no functions, and the component's initial state has none at that position",
          fix: "define snapshot/1 and restore/2 in the component",
          meta: %{component: path}
        )}
@@ -105,7 +105,7 @@ defmodule Situ.Component.Snapshot do
 
   defp failed(path, callback, why) do
     Error.new(:bad_snapshot, "#{path}: #{callback} failed: #{why}",
-      fix: "snapshot/1 answers {:ok, data}, restore/2 {:ok, state}, or {:error, error}",
+      fix: "return {:ok, data} from snapshot/1, {:ok, state} from restore/2, or {:error, error}",
       meta: %{component: path}
     )
   end

@@ -1,8 +1,8 @@
 defmodule Situ.Delivery.Queue do
   @moduledoc """
-  The queue in front of one input, under its policy; pure. Every operation takes constant time on average.
+  The queue of one input, with its delivery policy. Pure. Every operation takes constant time on average.
 
-  Entries are messages and, last, `{:closed, time}`.
+  Entries are messages, and `{:closed, time}` as the last entry.
 
       iex> alias Situ.Delivery.Queue
       iex> m = fn v, t -> %Situ.Message{data: v, originating_time: t} end
@@ -13,13 +13,13 @@ defmodule Situ.Delivery.Queue do
       iex> dropped.data
       1
 
-  A full queue drops its oldest entry for a newcomer; with a guarantee the oldest that is not protected, and the
-  newcomer itself when all waiting ones are protected and it is not; the closing mark never costs a message its place.
+  A full queue drops its oldest entry when a message is pushed. With a guarantee it drops the oldest unprotected
+  entry, or the new message if only that one is unprotected. The `:closed` entry never causes a message to be dropped.
   """
   alias Situ.{Delivery, Message}
 
-  # Two queues of numbered entries: `free` may be dropped, `kept` are protected. The lower number is the older entry.
-  # Without a guarantee everything is free.
+  # Two queues of numbered entries: `free` entries may be dropped, `kept` entries are protected. Lower numbers are
+  # older. Without a guarantee all entries are free.
   @enforce_keys [:policy]
   defstruct [:policy, free: {[], []}, kept: {[], []}, size: 0, next: 0]
 
@@ -35,16 +35,16 @@ defmodule Situ.Delivery.Queue do
           next: non_neg_integer()
         }
 
-  @doc "An empty queue under `policy`."
+  @doc "Creates an empty queue with `policy`."
   @spec new(Delivery.t()) :: t()
   def new(%Delivery{} = policy), do: %__MODULE__{policy: policy}
 
-  @doc "Another function says from now on what is never dropped."
+  @doc "Replaces the guarantee, the function that decides which data is never dropped."
   @spec guarantee(t(), (term() -> boolean())) :: t()
   def guarantee(%__MODULE__{policy: policy} = queue, keep?),
     do: %{queue | policy: %{policy | guarantee: keep?}}
 
-  @doc "Appends an entry; returns the queue and what it dropped for it, oldest first."
+  @doc "Appends an entry; returns the queue and the messages that were dropped, oldest first."
   @spec push(t(), entry()) :: {t(), [Message.t()]}
   def push(%__MODULE__{} = queue, {:closed, time} = closed) do
     {queue, late} = cut(queue, time)
@@ -69,7 +69,7 @@ defmodule Situ.Delivery.Queue do
     end
   end
 
-  @doc "Appends messages; returns the queue and how many were dropped for them."
+  @doc "Appends messages; returns the queue and the number of dropped messages."
   @spec push_all(t(), [Message.t()]) :: {t(), non_neg_integer()}
   def push_all(%__MODULE__{} = queue, messages), do: push_all(queue, messages, 0)
 
@@ -80,11 +80,11 @@ defmodule Situ.Delivery.Queue do
     push_all(queue, rest, dropped + length(lost))
   end
 
-  @doc "Takes the first entry that is not too old at clock time `now`; also returns what was too old."
+  @doc "Takes the first entry that has not expired at clock time `now`; also returns the expired messages."
   @spec pop(t(), Situ.Time.t()) :: {entry() | nil, t(), [Message.t()]}
   def pop(%__MODULE__{} = queue, now), do: pop(queue, now, [])
 
-  @doc "Takes up to `n` entries, whatever their age: `{entries, how_many, queue}`."
+  @doc "Takes up to `n` entries regardless of their age; returns `{entries, count, queue}`."
   @spec take(t(), non_neg_integer() | :infinity) :: {[entry()], non_neg_integer(), t()}
   def take(%__MODULE__{} = queue, n), do: take(queue, n, [], 0)
 
@@ -97,7 +97,7 @@ defmodule Situ.Delivery.Queue do
 
   defp take(queue, _n, taken, count), do: {:lists.reverse(taken), count, queue}
 
-  @doc "Drops from the front what is too old at clock time `now`."
+  @doc "Drops messages from the front that have expired at clock time `now`."
   @spec expire(t(), Situ.Time.t()) :: {t(), [Message.t()]}
   def expire(%__MODULE__{policy: %{max_latency: :infinity}} = queue, _now), do: {queue, []}
   def expire(%__MODULE__{} = queue, now), do: expire(queue, now, [])
@@ -114,7 +114,7 @@ defmodule Situ.Delivery.Queue do
     end
   end
 
-  @doc "Drops from the front what is later than `time`, at which the stream closes."
+  @doc "Drops messages from the front that are later than `time`, at which the stream closes."
   @spec cut(t(), Situ.Time.t()) :: {t(), [Message.t()]}
   def cut(%__MODULE__{} = queue, time), do: cut(queue, time, [])
 
@@ -128,12 +128,12 @@ defmodule Situ.Delivery.Queue do
     end
   end
 
-  @doc "The first entry, without looking at its age."
+  @doc "Returns the first entry regardless of its age."
   @spec peek(t()) :: entry() | nil
   def peek(%__MODULE__{size: 0}), do: nil
   def peek(%__MODULE__{} = queue), do: queue |> shift() |> elem(0)
 
-  @doc "Everything waiting, oldest first."
+  @doc "Returns all waiting entries, oldest first."
   @spec to_list(t()) :: [entry()]
   def to_list(%__MODULE__{size: 0}), do: []
   def to_list(%__MODULE__{} = queue), do: queue |> take(:infinity) |> elem(0)
@@ -159,14 +159,14 @@ defmodule Situ.Delivery.Queue do
   defp append(%{next: next, size: size} = queue, entry, :kept),
     do: %{queue | kept: enter(queue.kept, {next, entry}), size: size + 1, next: next + 1}
 
-  # A front is empty only if all is.
+  # The front is empty only if the whole queue is empty.
   defp enter({[], []}, entry), do: {[entry], []}
   defp enter({front, rear}, entry), do: {front, [entry | rear]}
 
   defp balance([], rear), do: {:lists.reverse(rear), []}
   defp balance(front, rear), do: {front, rear}
 
-  # The oldest entry, and its class.
+  # Removes the oldest entry and returns it with its class.
   defp shift(%{free: {[], _}, kept: {[], _}} = queue), do: {nil, :free, queue}
 
   defp shift(%{free: {[{i, entry} | front], rear}, kept: {[{j, _} | _], _}} = queue) when i < j,

@@ -1,7 +1,8 @@
 defmodule Situ.Operator.Chain do
   @moduledoc false
-  # A run of light operators in one process. Only the data moves from step to step; the caller makes one envelope at the
-  # end. A step that raises is identified by its index, so that the error names the operator the user wrote.
+  # A chain of light operators in one process. Only the data moves from step to step; the caller builds one envelope
+  # at the end. A step that raises is identified by its index, so that the error names the operator that the user
+  # wrote.
 
   @type step ::
           {atom(), fun(), index :: non_neg_integer()}
@@ -13,8 +14,8 @@ defmodule Situ.Operator.Chain do
   defstruct [:steps, :fast, :counters, sizes: false]
 
   @typedoc """
-  The steps of a stage, and whether none keeps state. Behind a component: the counters of the edge into it, and
-  whether sizes are counted.
+  The steps of a stage, and `fast`, which is true if no step keeps state. For a chain that consumes a component's
+  output, also the counters of the edge into the chain, and whether message sizes are measured.
   """
   @type t :: %__MODULE__{
           steps: steps(),
@@ -23,14 +24,14 @@ defmodule Situ.Operator.Chain do
           sizes: boolean()
         }
 
-  @doc "The chain of vertices that stand from index `first` on in their stage."
+  @doc "Compiles the chain of `vertices`, which start at index `first` of their stage."
   @spec compile([Situ.Graph.Vertex.t()], non_neg_integer()) :: t()
   def compile(vertices, first) do
     steps = vertices |> Enum.map(& &1.opts) |> new(first)
     %__MODULE__{steps: steps, fast: not stateful?(steps)}
   end
 
-  @doc "The chain with other steps."
+  @doc "Updates the steps of the chain with `fun`."
   @spec update(t(), (steps() -> steps())) :: t()
   def update(%__MODULE__{} = chain, fun) do
     steps = fun.(chain.steps)
@@ -38,8 +39,7 @@ defmodule Situ.Operator.Chain do
   end
 
   @doc """
-  A new step in the place of that of the operator at `index`, without the state of the old one; with `{:keep, step}`
-  with it.
+  Replaces the step of the operator at `index`. The state of the old step is discarded, or kept with `{:keep, step}`.
   """
   @spec exchange(t(), non_neg_integer(), Situ.Operator.step() | {:keep, Situ.Operator.step()}) ::
           t()
@@ -59,7 +59,7 @@ defmodule Situ.Operator.Chain do
     update(chain, fn steps -> Enum.map(steps, &if(elem(&1, 2) == index, do: fresh, else: &1)) end)
   end
 
-  @doc "The steps of operators, in order; `first` is the index of the first one among the vertices of its stage."
+  @doc "Builds the steps of operators, in order; `first` is the index of the first operator's vertex in its stage."
   @spec new([Situ.Operator.step()], non_neg_integer()) :: steps()
   def new(steps, first \\ 0) do
     steps
@@ -70,11 +70,11 @@ defmodule Situ.Operator.Chain do
     end)
   end
 
-  @doc "Whether any step keeps state."
+  @doc "Returns whether any step keeps state."
   @spec stateful?(steps()) :: boolean()
   def stateful?(steps), do: Enum.any?(steps, &(tuple_size(&1) == 4))
 
-  @doc "One message through stateless steps: the data, or `skip/0`; throws `{:situ_step, index, kind, reason, stack}`."
+  @doc "Runs stateless steps on a message; returns data or `skip/0`. Throws `{:situ_step, index, kind, reason, stack}`."
   @spec run(steps(), term(), Situ.Message.t()) :: term()
   def run([], data, _message), do: data
 
@@ -96,7 +96,7 @@ defmodule Situ.Operator.Chain do
     end
   end
 
-  @doc "One message through steps with state: `{data | skip, steps}`."
+  @doc "Runs steps with state on a message; returns `{data | skip, steps}`."
   @spec run_stateful(steps(), term(), Situ.Message.t()) :: {term(), steps()}
   def run_stateful([], data, _message), do: {data, []}
 
@@ -132,7 +132,7 @@ defmodule Situ.Operator.Chain do
     end
   end
 
-  @doc "The value that a step returns to emit nothing."
+  @doc "Returns the marker for an empty result: the step emits nothing."
   defmacro skip, do: @skip
 
   defp apply_step({kind, fun, i}, data, message) do
@@ -161,7 +161,7 @@ defmodule Situ.Operator.Chain do
 
   defp rubbish(other) do
     ArgumentError.exception(
-      "a step answers {:emit, data, state} or {:skip, state}, got: #{inspect(other, limit: 8)}"
+      "a step must return {:emit, data, state} or {:skip, state}, got: #{inspect(other, limit: 8)}"
     )
   end
 end

@@ -1,40 +1,40 @@
 defmodule Situ.Graph.Placement.Schema do
   @moduledoc false
-  # The one table of the options of `Situ.Graph.Placement`.
+  # The schema of the options of `Situ.Graph.Placement`.
   alias Situ.{Delivery, Options}
 
   @policy {:optional, {:struct, Delivery}}
-  @same_time "Two messages of one time: `:error`, `:drop` the later one, or `:nudge` it to 1 ns behind the other."
+  @same_time "For two messages with one time: `:error`, `:drop` the second, or `:nudge` it to 1 ns after the first."
 
   @schema [
     name: [
       type: :string,
       doc:
-        "Its name, unique in the pipeline; by default that of the component or operator, numbered where it is taken."
+        "Its name, unique in the pipeline. Default: the name of the component or operator, numbered if already in use."
     ],
     default_name: [type: :string, doc: false],
-    type: [type: :any, doc: "Type of the output, see `Situ.Type`."],
-    policy: [type: @policy, doc: "Delivery policy of its inputs; by default the pipeline's."],
+    type: [type: :any, doc: "Type of the output; see `Situ.Type`."],
+    policy: [type: @policy, doc: "Delivery policy of its inputs. Default: the pipeline's policy."],
     async: [
       type: :boolean,
       default: false,
       doc:
-        "Gives an operator a process of its own; of a component, that no operator behind it joins its process."
+        "Runs an operator in a separate process. For a component: keeps the operators after it out of its process."
     ],
     on_error: [
       type: {:in, [:stop, :skip, :restart]},
       default: :stop,
       doc:
-        "When it raises: stop the pipeline, skip the message, or restart the component with fresh state."
+        "Reaction to an exception: stop the pipeline, skip the message, or restart the component with a new state."
     ],
     check: [
       type: {:in, [:first, :all, :off]},
       default: :first,
-      doc: "Which messages of an input are checked against its type."
+      doc: "The messages of each input that are checked against its type."
     ],
     on_same_time: [type: {:in, [:error, :drop, :nudge]}, default: :error, doc: @same_time],
-    inputs: [type: :keyword, doc: "Inputs, where they are known only now."],
-    outputs: [type: :keyword, doc: "Outputs, where they are known only now."]
+    inputs: [type: :keyword, doc: "Inputs, for components whose inputs vary."],
+    outputs: [type: :keyword, doc: "Outputs, for components whose outputs vary."]
   ]
 
   @keys %{
@@ -46,7 +46,7 @@ defmodule Situ.Graph.Placement.Schema do
 
   @policies [
     type: {:or, [@policy, {:list, @policy}]},
-    doc: "Delivery policy of its inputs, or a list of them, primary first."
+    doc: "Delivery policy of its inputs, or a list with one policy per input, primary first."
   ]
 
   @spec of(Situ.Graph.Placement.kind()) :: Options.schema()

@@ -1,6 +1,6 @@
 defmodule Situ.Branch.Chained do
   @moduledoc false
-  # A branch that is a straight run of light operators: only data moves.
+  # A branch that is a linear chain of light operators, so that only data is passed along.
   alias Situ.Component.Callback
   alias Situ.Operator.Chain
   require Chain
@@ -10,7 +10,7 @@ defmodule Situ.Branch.Chained do
 
   @type t :: %__MODULE__{}
 
-  @doc "The run from the inlet to the result, if the graph is nothing else."
+  @doc "Builds the chain from the inlet to the result. Returns `:error` if the graph has any other shape."
   @spec plan(Situ.Graph.t(), pos_integer(), {pos_integer(), atom()} | nil, term()) ::
           {:ok, t()} | :error
   def plan(graph, inlet, result, path) do
@@ -37,7 +37,7 @@ defmodule Situ.Branch.Chained do
     end
   end
 
-  @doc "The data alone: `{:value, data, branch}` or `{:skip, branch}`."
+  @doc "Runs the chain on the data alone. Returns `{:value, data, branch}` or `{:skip, branch}`."
   @spec value(t(), term(), Situ.Message.t()) :: {:value, term(), t()} | {:skip, t()}
   def value(%{fast: true, chain: chain} = branch, data, message) do
     case Chain.run(chain, data, message) do

@@ -1,5 +1,5 @@
 defmodule Situ.Branch.Inlet do
   @moduledoc false
-  # Stands for the world outside, where the branch's graph begins.
+  # Represents the outside of the branch, where its graph begins.
   use Situ.Component, inputs: [], outputs: [out: :any]
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Branch.Network do
   @moduledoc false
-  # A branch of any shape: what a component answers is handed on to the next before the next message comes in.
+  # A branch of any shape. The outputs of each component pass through the whole graph before the next message.
   alias Situ.{Error, Message}
   alias Situ.Component.Callback
   alias Situ.Operator.Chain
@@ -65,7 +65,7 @@ defmodule Situ.Branch.Network do
     end
   end
 
-  # A message leaves an output: for the result, and for every input connected to it.
+  # Emits a message from an output: to the result, and to every connected input.
   defp emit(network, {id, output} = from, message) do
     network =
       if from == network.result,
@@ -130,18 +130,18 @@ defmodule Situ.Branch.Network do
   defp act({:close, output}, node, network), do: shut(network, {node.id, output}, 0)
   defp act({:close, output, time}, node, network), do: shut(network, {node.id, output}, time)
 
-  # One message at a time comes in: nothing runs ahead of anything.
+  # Messages arrive one at a time, so no input can run ahead of another.
   defp act({balance, _input}, _node, network) when balance in [:hold, :resume, :complete],
     do: network
 
   defp act(action, node, _network) do
-    raise Error.new(:not_in_branch, "#{node.path} cannot run inside of a parallel branch",
+    raise Error.new(:not_in_branch, "#{node.path} cannot run inside a parallel branch",
             why: "it returned #{inspect(action, limit: 5)}, and a branch has no clock",
-            fix: "give parallel branches: :processes, or put it before or behind the operator"
+            fix: "give parallel branches: :processes, or move it before or after the operator"
           )
   end
 
-  # An output ends; components tell what depends on it, and end themselves with their last input.
+  # Closes an output. Components notify their dependents, and end with their last input.
   defp shut(network, {id, output}, time) do
     network.nodes
     |> Map.fetch!(id)

@@ -1,6 +1,6 @@
 defmodule Situ.Branch.Path do
   @moduledoc false
-  # The name of a branch, made only when an error needs it: branches are many and errors few.
+  # The name of a branch. It is only built for errors, because branches are many and errors are rare.
 
   @type t :: String.t() | {String.t(), term()}
 

@@ -1,20 +1,21 @@
 defmodule Situ.Branch.Process do
   @moduledoc false
-  # A branch as a pipeline of its own: its own processes, any component inside. Its messages to the process that
-  # started it:
-  #   {:situ_branch, id, {:open, pid}}                         the process that takes its input
-  #   {:situ_branch, id, {:outputs, [{time, data}], passed}}   its output; if `passed` is a time, the branch has handled
-  #                                                            all input up to it (only a run of light operators tells)
-  #   {id, result}                                             it has ended; no output follows
+  # A branch that runs as a separate pipeline with its own processes, and so may contain any component. It sends
+  # these messages to the process that started it:
+  #   {:situ_branch, id, {:open, pid}}                         the process that accepts its input
+  #   {:situ_branch, id, {:outputs, [{time, data}], passed}}   outputs; if `passed` is a time, the branch has handled
+  #                                                            all input up to it (only sent by chains of light
+  #                                                            operators)
+  #   {id, result}                                             the branch has ended; no more output follows
   #
-  # It ends with the process that started it.
+  # The branch ends with the process that started it.
   alias Situ.Graph.{Builder, Plan}
   alias Situ.{Delivery, Operator, Pipeline, Stream}
   alias Situ.Pipeline.Launcher
 
   defmodule Gate do
     @moduledoc false
-    # The branch's source: it emits the entries it is sent, as fast as the branch asks for them.
+    # The source of the branch. It emits the entries that it receives, as fast as the branch requests them.
     use Situ.Component,
       inputs: [],
       outputs: [out: :any],
@@ -41,7 +42,7 @@ defmodule Situ.Branch.Process do
 
     def handle_info(_other, _context, gate), do: {[], gate}
 
-    # All that is there already, in one turn.
+    # Takes all entries that are already in the mailbox, in one time slice.
     defp waiting(entries) do
       receive do
         {:situ_feed, more} -> waiting(entries ++ more)
@@ -54,8 +55,8 @@ defmodule Situ.Branch.Process do
     defp put(queue, entries), do: queue ++ entries
 
     @doc """
-    Reports an output of the branch: together with the next `passed` time if it was emitted in this process, else at
-    once.
+    Reports an output of the branch. An output emitted in this process is reported with the next `passed` time; any
+    other output is reported immediately.
     """
     def report(to, id, time, data) do
       case Process.get({__MODULE__, id}) do
@@ -64,8 +65,8 @@ defmodule Situ.Branch.Process do
       end
     end
 
-    # The operators in this process have handled the previous slice. If that was quick, the next slice is larger; a
-    # slow branch gets small ones, so that its counters show progress.
+    # By now the operators in this process have handled the previous slice. If that was fast, the next slice is
+    # larger. A slow branch gets small slices, so that its counters show progress.
     @impl true
     def handle_demand(n, _context, gate) do
       gate = gate |> tell() |> resize()
@@ -115,7 +116,7 @@ defmodule Situ.Branch.Process do
 
     defp entries(n, [time | rest], _passed, actions), do: entries(n, rest, time, actions)
 
-    # Not before what came of the last entries has been told.
+    # The source may stop only after the results of the last entries have been reported.
     defp over(%{stopping: true, queue: [], passed: nil}), do: [:stopped]
     defp over(_gate), do: []
   end
@@ -123,8 +124,8 @@ defmodule Situ.Branch.Process do
   @type built :: %{pid: pid(), output?: boolean(), immediate?: boolean()}
 
   @doc """
-  Builds and starts the branch of `fun`. `timing` is the surrounding pipeline's: clock, whether it is waited for,
-  and the replay's end; the branch begins at `start`. Raises what building raised.
+  Builds and starts the branch of `fun`, beginning at `timing.start`. `timing` describes the surrounding pipeline: its
+  clock, whether that clock is enforced, and the end of the replay. Raises any error raised by building the branch.
   """
   @spec start!((Stream.t() -> term()), reference(), String.t(), Situ.Type.t(), map()) :: built()
   def start!(fun, id, path, type, timing) do
@@ -145,20 +146,20 @@ defmodule Situ.Branch.Process do
     end
   end
 
-  @typedoc "A part for the branch, or a time at which it gets none."
+  @typedoc "A part for the branch, or a time at which it receives no part."
   @type entry :: {Situ.Time.t(), term()} | Situ.Time.t()
 
   @spec feed(pid(), [entry()]) :: term()
   def feed(gate, entries), do: send(gate, {:situ_feed, entries})
 
-  @doc "The branch ends at `time`, after everything it was sent."
+  @doc "Ends the branch at `time`, after it has handled all entries sent to it."
   @spec stop(pid(), Situ.Time.t()) :: term()
   def stop(pid, time), do: send(pid, {:situ_stop, time})
 
   defp interval(%{start: start, replay_end: :infinity}), do: {start, :unbounded}
   defp interval(%{start: start, replay_end: time}), do: {start, max(start, time)}
 
-  # Errors and processes inside carry the branch's name.
+  # The scope makes errors and processes inside carry the branch's name.
   defp build(p, fun, {to, id}, path, type) do
     p = %{p | scope: path}
     gate = Pipeline.add(p, Gate, to: to, id: id, name: "In", outputs: [out: type])
@@ -174,7 +175,7 @@ defmodule Situ.Branch.Process do
     send(to, {:situ_branch, id, {:built, built}})
   end
 
-  # A run of light operators shares the gate's process: it is known at once what a part has led to.
+  # A chain of light operators shares the source's process, so the result of each part is known immediately.
   defp together(graph, gate) do
     edges =
       Map.new(graph.edges, fn

@@ -1,6 +1,6 @@
 defmodule Situ.Filter.Butterworth do
   @moduledoc """
-  Butterworth filters as second-order sections: `{b0, b1, b2, a1, a2}`, to be run one after the other.
+  Designs Butterworth filters as second-order sections, `{b0, b1, b2, a1, a2}`, which run one after the other.
 
       iex> [{b0, b1, b2, a1, a2}] = Situ.Filter.Butterworth.sections(:lowpass, [0.25], 2)
       iex> Enum.map([b0, b1, b2, a1, a2], &Float.round(&1, 6))
@@ -10,10 +10,10 @@ defmodule Situ.Filter.Butterworth do
   @type section :: {float(), float(), float(), float(), float()}
   @typep complex :: {float(), float()}
 
-  @doc "The sections of a filter of this shape; `edges` (one, or low and high) in cycles per sample, below 0.5."
+  @doc "Returns the sections of a filter. `edges` (one, or low and high) are in cycles per sample, below 0.5."
   @spec sections(Situ.Filter.Fir.shape(), [float()], pos_integer()) :: [section()]
   def sections(shape, edges, order) do
-    # The bilinear transform with T = 1 takes the analogue frequency w to 2 atan(w / 2).
+    # The bilinear transform with T = 1 maps the analogue frequency w to 2 atan(w / 2).
     warped = Enum.map(edges, &(2 * :math.tan(:math.pi() * &1)))
     {zeros, at} = zeros(shape, warped)
 
@@ -25,12 +25,12 @@ defmodule Situ.Filter.Butterworth do
     |> Enum.map(&section(&1, zeros, at))
   end
 
-  # Poles of the analogue low pass with its edge at 1.
+  # Returns the poles of the analogue low-pass filter with its edge at 1.
   @spec prototype(pos_integer()) :: [complex()]
   defp prototype(order) do
     for k <- 0..(order - 1) do
       angle = :math.pi() * (2 * k + order + 1) / (2 * order)
-      # The middle one of an odd order is real.
+      # The middle pole of an odd order is real.
       if 2 * k + 1 == order, do: {-1.0, 0.0}, else: {:math.cos(angle), :math.sin(angle)}
     end
   end
@@ -42,14 +42,15 @@ defmodule Situ.Filter.Butterworth do
   defp place(:bandstop, pole, [low, high]),
     do: split(scale(reciprocal(pole), (high - low) / 2), low * high)
 
-  # Both solutions of s^2 - 2 p s + centre^2 = 0.
+  # Returns both solutions of s^2 - 2 p s + centre^2 = 0.
   defp split(p, square) do
     {re, im} = times(p, p)
     root = root({re - square, im})
     [add(p, root), add(p, scale(root, -1.0))]
   end
 
-  # The two zeros of each section, as coefficients of its numerator, and where (radians per sample) its gain is 1.
+  # Returns the two zeros of each section as coefficients of its numerator, and the frequency (in radians per sample)
+  # at which its gain is 1.
   defp zeros(:lowpass, _), do: {{1.0, 2.0, 1.0}, 0.0}
   defp zeros(:highpass, _), do: {{1.0, -2.0, 1.0}, :math.pi()}
 
@@ -61,7 +62,7 @@ defmodule Situ.Filter.Butterworth do
     {{1.0, -2 * :math.cos(centre), 1.0}, 0.0}
   end
 
-  # Conjugates make one section, and so do two real poles; a real one may be left over.
+  # Two conjugate poles or two real poles form one section; a single real pole may be left over.
   defp pairs(poles) do
     {real, complex} = Enum.split_with(poles, fn {_, im} -> abs(im) < 1.0e-12 end)
     upper = for {re, im} <- complex, im > 0, do: {-2 * re, re * re + im * im}
@@ -70,7 +71,7 @@ defmodule Situ.Filter.Butterworth do
 
   defp section([p, q], zeros, at), do: section({-(p + q), p * q}, zeros, at)
 
-  # One pole takes one of the two equal zeros.
+  # A section with one pole uses one of the two equal zeros.
   defp section([p], {1.0, double, 1.0}, at), do: normal({1.0, double / 2, 0.0}, {-p, 0.0}, at)
   defp section({a1, a2}, zeros, at), do: normal(zeros, {a1, a2}, at)
 

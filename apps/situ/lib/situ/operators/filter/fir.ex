@@ -1,10 +1,10 @@
 defmodule Situ.Filter.Fir do
   @moduledoc """
-  Finite impulse response filters: windowed sinc (Hamming), symmetric, so the phase is linear and the delay half the
-  order. The gain is 1 in the middle of what passes: at 0 Hz, at half the rate, or in the middle of the band.
-  `firwin` in SciPy.
+  Finite impulse response filters, designed with a windowed sinc (Hamming). The taps are symmetric, so the phase is
+  linear and the delay is half the order. The gain is 1 in the middle of the pass band: at 0 Hz, at half the rate, or
+  at the centre of the band. SciPy calls this `firwin`.
 
-  About 3.3 times the rate over the order wide are the slopes: a narrow band needs a high order.
+  The transition bands are about 3.3 times the rate divided by the order wide, so a narrow band needs a high order.
 
       iex> taps = Situ.Filter.Fir.taps(:lowpass, 1_000, [50], 40)
       iex> length(taps)
@@ -17,28 +17,28 @@ defmodule Situ.Filter.Fir do
 
   alias Situ.Number
 
-  # `strange`: how many samples it takes until the last NaN or infinity has left the taps.
+  # `strange`: the number of samples until the last NaN or infinity has left the taps.
   @type t :: %__MODULE__{taps: [float()], past: [Number.t()], strange: non_neg_integer()}
   @enforce_keys [:taps]
   defstruct [:taps, past: [], strange: 0]
 
   @type shape :: :lowpass | :highpass | :bandpass | :bandstop
 
-  @doc "A filter of this shape: `rate` and `edges` (one, or low and high) in Hz, an even `order`."
+  @doc "Builds a filter. `rate` and `edges` (one, or low and high) are in Hz, and `order` is even."
   @spec new(shape(), number(), [number()], pos_integer()) :: t()
   def new(shape, rate, edges, order) do
     taps = taps(shape, rate, edges, order)
     %__MODULE__{taps: taps, past: List.duplicate(0.0, length(taps))}
   end
 
-  @doc "One sample in, one sample out. `:nan` and infinities come out, too, until they have left the taps."
+  @doc "Filters one sample. `:nan` and infinities affect the output until they have left the taps."
   @spec step(t(), Number.t()) :: {Number.t(), t()}
   def step(%__MODULE__{taps: taps, past: past, strange: 0} = filter, sample)
       when is_number(sample) do
     {sum, past} = dot(taps, [sample | past], 0.0, [])
     {sum, %{filter | past: past}}
   rescue
-    # Too large for a float.
+    # The result was too large for a float.
     ArithmeticError -> strange(filter, sample, 0)
   end
 
@@ -52,12 +52,13 @@ defmodule Situ.Filter.Fir do
     {Number.dot(taps, past), %{filter | past: past, strange: left}}
   end
 
-  @doc "The impulse response, `order + 1` values (an odd order is raised by one)."
+  @doc "Returns the impulse response of `order + 1` values (an odd order is raised by one)."
   @spec taps(shape(), number(), [number()], pos_integer()) :: [float()]
   def taps(shape, rate, edges, order) do
     half = div(order + 1, 2)
     edges = Enum.map(edges, &(&1 / rate))
-    # The pass bands, and the frequency in them at which the gain is 1; both in cycles per sample.
+
+    # `at` is the frequency in the pass bands at which the gain is 1. Both are in cycles per sample.
     {bands, at} = bands(shape, edges)
     raw = for n <- -half..half, do: ideal(bands, n) * hamming(n, half)
     gain = Enum.sum(Enum.zip_with(raw, -half..half, &(&1 * :math.cos(2 * :math.pi() * at * &2))))

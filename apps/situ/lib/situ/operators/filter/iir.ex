@@ -2,8 +2,8 @@ defmodule Situ.Filter.Iir do
   @moduledoc """
   Infinite impulse response filters: Butterworth, as a chain of second-order sections.
 
-  Of an edge filter `order` poles, of a band filter `order` on each side (2 * `order` poles), as SciPy and MATLAB
-  count them; 3 dB down at the edges.
+  A filter with one edge has `order` poles, and a band filter has `order` on each side (2 * `order` poles), as in
+  SciPy and MATLAB. The gain at the edges is -3 dB.
 
       iex> filter = Situ.Filter.Iir.new(:lowpass, 1_000, [50], 4)
       iex> length(filter.sections)
@@ -11,8 +11,8 @@ defmodule Situ.Filter.Iir do
       iex> length(Situ.Filter.Iir.new(:bandpass, 1_000, [45, 55], 4).sections)
       4
 
-  Source: Oppenheim & Schafer, Discrete-Time Signal Processing: poles of the analogue prototype, moved to the band,
-  taken over by the bilinear transform with the edges warped beforehand.
+  Source: Oppenheim & Schafer, Discrete-Time Signal Processing. The poles of the analogue prototype are moved to the
+  band and converted by the bilinear transform, with the edges prewarped.
   """
 
   alias Situ.Filter.Butterworth
@@ -22,14 +22,14 @@ defmodule Situ.Filter.Iir do
   @enforce_keys [:sections]
   defstruct [:sections]
 
-  @doc "A filter: `rate` and `edges` (one, or low and high) in Hz."
+  @doc "Builds a filter. `rate` and `edges` (one, or low and high) are in Hz."
   @spec new(Situ.Filter.Fir.shape(), number(), [number()], pos_integer()) :: t()
   def new(shape, rate, edges, order) do
     sections = Butterworth.sections(shape, Enum.map(edges, &(&1 / rate)), order)
     %__MODULE__{sections: Enum.map(sections, &{&1, {0.0, 0.0}})}
   end
 
-  @doc "One sample in, one sample out. Such a filter never forgets: after `:nan` or an infinity it gives `:nan`."
+  @doc "Filters one sample. The filter has infinite memory: after `:nan` or an infinity, it returns `:nan`."
   @spec step(t(), Number.t()) :: {Number.t(), t()}
   def step(%__MODULE__{sections: sections} = filter, sample) do
     {sections, out} = Enum.map_reduce(sections, sample, &section/2)
@@ -42,7 +42,7 @@ defmodule Situ.Filter.Iir do
     y = b0 * x + z1
     {{coefficients, {b1 * x - a1 * y + z2, b2 * x - a2 * y}}, y}
   rescue
-    # Too large for a float.
+    # The result was too large for a float.
     ArithmeticError -> strange(section, x)
   end
 

@@ -3,14 +3,18 @@ defmodule Situ.Filter.OneEuro do
     slope: [
       type: :number,
       default: 0.0,
-      doc: "How fast the cutoff rises with the speed of change."
+      doc: "How much the cutoff increases with the speed of change."
     ],
-    min_cutoff: [type: :number, default: 1.0, doc: "Hz, the cutoff for what stands still."],
-    derivative_cutoff: [type: :number, default: 1.0, doc: "Hz, for the speed of change."]
+    min_cutoff: [type: :number, default: 1.0, doc: "Hz, the cutoff for a constant signal."],
+    derivative_cutoff: [
+      type: :number,
+      default: 1.0,
+      doc: "Hz, the cutoff for the speed of change."
+    ]
   ]
 
   @moduledoc """
-  The 1 euro filter: an adaptive low pass for irregular samples. Slow changes are smoothed, fast ones pass.
+  The 1 euro filter, an adaptive low-pass filter for irregular samples. It smooths slow changes and passes fast ones.
 
       iex> filter = Situ.Filter.OneEuro.new()
       iex> {first, filter} = Situ.Filter.OneEuro.step(filter, 0, 10.0)
@@ -30,7 +34,7 @@ defmodule Situ.Filter.OneEuro do
   @type t :: %__MODULE__{}
   defstruct [:slope, :min_cutoff, :derivative_cutoff, :previous, derivative: 0.0]
 
-  @doc "A filter that has seen nothing."
+  @doc "Builds a filter that has not received any samples."
   @spec new(keyword()) :: t()
   def new(opts \\ []), do: struct!(__MODULE__, Situ.Options.validate!(opts, @options))
 
@@ -39,8 +43,8 @@ defmodule Situ.Filter.OneEuro do
   def options, do: @options
 
   @doc """
-  Takes a sample and its time (ns); the first passes unchanged. After an output that is `:nan` or infinite all later
-  ones are too, since each output enters the next.
+  Filters a sample with its time (ns). The first sample passes unchanged. After an output that is `:nan` or infinite,
+  all later outputs are too, since each output feeds into the next.
   """
   @spec step(t(), Situ.Time.t(), Number.t()) :: {Number.t(), t()}
   def step(%__MODULE__{previous: nil} = filter, time, sample) do

@@ -1,6 +1,6 @@
 defmodule Situ.Fusion.Arguments do
   @moduledoc false
-  # The forms in which streams and interpolators are given to a fusion operator. Pure.
+  # Parses the forms of streams and interpolators that fusion operators accept. Pure.
   alias Situ.{Argument, Error, Interpolator, Interval, Reproducible, Stream}
 
   @type streams ::
@@ -9,7 +9,7 @@ defmodule Situ.Fusion.Arguments do
           | {:keyed, Stream.t(), %{term() => Stream.t()}}
           | {:vector, [Stream.t()]}
 
-  @doc "The arguments of join and fuse: a primary with its secondaries, or a list whose first is the primary."
+  @doc "Parses the arguments of join and fuse: a primary with its secondaries, or a list that begins with the primary."
   @spec parse(term(), term(), term(), keyword()) :: {streams(), term(), keyword()}
   def parse(first, second, third, opts) when is_list(first) do
     {interpolator, opts} = last(second, third, opts)
@@ -48,14 +48,16 @@ defmodule Situ.Fusion.Arguments do
           "expected streams, an interpolator and a keyword list of options, got: #{inspect(other, limit: 5)}"
   end
 
-  @doc "The interpolator that was given, or the default."
+  @doc "Returns the interpolator given by the user, or the default."
   @spec given(term(), Interpolator.t() | :none) :: Interpolator.t() | [Interpolator.t()]
-  def given(:default, :none), do: raise(ArgumentError, "fuse needs an interpolator; see join")
+  def given(:default, :none),
+    do: raise(ArgumentError, "fuse needs an interpolator; see Situ.join/4")
+
   def given(:default, default), do: default
   def given(list, _default) when is_list(list), do: Enum.map(list, &interpolator/1)
   def given(other, _default), do: interpolator(other)
 
-  @doc "One of these: an interpolator, or a tolerance (ns) or a window, both meaning `Situ.Reproducible.nearest/1`."
+  @doc "Converts an interpolator, a tolerance (ns) or a window; the last two mean `Situ.Reproducible.nearest/1`."
   @spec interpolator(Interpolator.t() | Situ.Time.duration() | Interval.t()) :: Interpolator.t()
   def interpolator(%Interpolator{} = interpolator), do: interpolator
   def interpolator(tolerance) when is_integer(tolerance), do: Reproducible.nearest(tolerance)
@@ -66,23 +68,23 @@ defmodule Situ.Fusion.Arguments do
           "expected an interpolator, a tolerance in ns or a Situ.Interval, got: #{inspect(other)}"
   end
 
-  @doc "Refuses an interpolator that may give other answers at other times."
+  @doc "Raises if the results of an interpolator can depend on timing."
   @spec reproducible!(Interpolator.t()) :: :ok
   def reproducible!(%Interpolator{reproducible: true}), do: :ok
   def reproducible!(interpolator), do: raise(not_reproducible(interpolator))
 
-  @doc "The error of such an interpolator."
+  @doc "Returns the error for an interpolator that is not reproducible."
   @spec not_reproducible(Interpolator.t()) :: Error.t()
   def not_reproducible(interpolator) do
     Error.new(
       :not_reproducible,
-      "join takes reproducible interpolators, got: #{inspect(interpolator.module)}",
-      why: "the answers of the others depend on the messages that have arrived",
-      fix: "use Situ.Reproducible, or Situ.fuse/4 where timing may decide"
+      "join needs a reproducible interpolator, got: #{inspect(interpolator.module)}",
+      why: "the results of other interpolators depend on which messages have arrived",
+      fix: "use Situ.Reproducible, or Situ.fuse/4 if results may depend on timing"
     )
   end
 
-  @doc "One interpolator for each of `n` secondaries."
+  @doc "Returns one interpolator for each of `n` secondaries."
   @spec each(Interpolator.t() | [Interpolator.t()], non_neg_integer()) :: [Interpolator.t()]
   def each(%Interpolator{} = one, n), do: List.duplicate(one, n)
   def each(list, n) when length(list) == n, do: list
@@ -90,14 +92,14 @@ defmodule Situ.Fusion.Arguments do
   def each(list, n),
     do: raise(ArgumentError, "#{length(list)} interpolators for #{n} secondary streams")
 
-  @doc "Primary and secondary streams of any form."
+  @doc "Returns the primary and secondary streams of any form."
   @spec sides(streams()) :: {Stream.t(), [Stream.t()]}
   def sides({:one, primary, secondary}), do: {primary, [secondary]}
   def sides({:many, primary, secondaries}), do: {primary, secondaries}
   def sides({:keyed, primary, keyed}), do: {primary, Map.values(keyed)}
   def sides({:vector, [primary | secondaries]}), do: {primary, secondaries}
 
-  @doc "The arguments of zip and merge."
+  @doc "Parses the arguments of zip and merge."
   @spec inputs(term(), term(), keyword()) :: {[Stream.t()], keyword()}
   def inputs(%Stream{} = first, %Stream{} = second, opts), do: {[first, second], opts}
   def inputs(streams, opts, []) when is_list(streams), do: {some!(streams), opts}
@@ -105,7 +107,7 @@ defmodule Situ.Fusion.Arguments do
   def inputs(other, _second, _opts),
     do: Argument.refuse!(other, :streams, "Situ.zip(first, second)")
 
-  defp some!([]), do: raise(ArgumentError, "no streams given: there is nothing to bring together")
+  defp some!([]), do: raise(ArgumentError, "no streams given: there is nothing to combine")
 
   defp some!(streams) do
     if Enum.all?(streams, &is_struct(&1, Stream)),

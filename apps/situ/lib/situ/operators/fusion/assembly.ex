@@ -1,13 +1,13 @@
 defmodule Situ.Fusion.Assembly do
   @moduledoc false
-  # Puts the components of fusion operators into the graph: names their inputs and connects them.
+  # Adds the components of fusion operators to the graph, names their inputs and connects them.
   alias Situ.Fusion.{Arguments, Fuse, Merger, Output, Pair, Sampler, Zipper}
   alias Situ.{Interpolator, Operator, Stream}
 
-  @typedoc "An operator's own options, and those of its placement."
+  @typedoc "The operator's options, and its placement options."
   @type options :: {keyword(), keyword()}
 
-  @doc "join and fuse, in all their forms."
+  @doc "Adds a join or fuse in any of their forms."
   @spec fuse(String.t(), Arguments.streams(), Interpolator.t() | [Interpolator.t()], options()) ::
           Stream.t()
   def fuse(name, {:keyed, _, keyed} = streams, %Interpolator{} = interpolator, options) do
@@ -22,7 +22,9 @@ defmodule Situ.Fusion.Assembly do
     do: raise(ArgumentError, "a map of streams takes one interpolator for all")
 
   def fuse(name, streams, interpolator, {own, _placed} = options) do
-    if own[:ended] == :leave, do: raise(ArgumentError, "ended: :leave is for a map of streams")
+    if own[:ended] == :leave,
+      do: raise(ArgumentError, "ended: :leave needs a map of streams")
+
     {_primary, secondaries} = Arguments.sides(streams)
     interpolators = Arguments.each(interpolator, length(secondaries))
 
@@ -42,7 +44,7 @@ defmodule Situ.Fusion.Assembly do
     Operator.through(inputs, name, {Fuse, options}, placed, type)
   end
 
-  @doc "The latest of one stream with each of another."
+  @doc "Pairs each message of one stream with the latest message of another."
   @spec pair(Stream.t(), Stream.t(), options()) :: Stream.t()
   def pair(primary, secondary, {own, placed}) do
     initial = with {:ok, value} <- Keyword.fetch(own, :initial), do: {:value, value}
@@ -52,7 +54,7 @@ defmodule Situ.Fusion.Assembly do
     Operator.through([primary: primary, secondary: secondary], "Pair", pair, placed, type)
   end
 
-  @doc "Groups of equal times."
+  @doc "Groups messages of equal times."
   @spec zip([Stream.t()], keyword()) :: Stream.t()
   def zip(streams, placed) do
     inputs = named(streams)
@@ -60,7 +62,7 @@ defmodule Situ.Fusion.Assembly do
     Operator.through(inputs, "Zip", zipper, placed, {:list, common(streams)})
   end
 
-  @doc "Everything as it arrives."
+  @doc "Merges all messages in order of arrival."
   @spec merge([Stream.t()], keyword()) :: Stream.t()
   def merge(streams, placed) do
     inputs = named(streams)
@@ -69,10 +71,11 @@ defmodule Situ.Fusion.Assembly do
     Operator.through(inputs, "Merge", {Merger, [members: members]}, placed, type)
   end
 
-  @doc "A stream's values at the ticks of a clock."
+  @doc "Emits a stream's values at the ticks of a clock."
   @spec tick(String.t(), Stream.t(), term(), Interpolator.t(), options()) :: Stream.t()
   def tick(name, %Stream{} = stream, %Stream{} = clock, interpolator, {own, placed}) do
-    if own[:align], do: raise(ArgumentError, "align: goes with an interval, not with a stream")
+    if own[:align],
+      do: raise(ArgumentError, "align: needs an interval, not a stream, as the clock")
 
     options = [
       members: [{:s0, 0, interpolator, []}],
@@ -88,7 +91,7 @@ defmodule Situ.Fusion.Assembly do
   def tick(name, %Stream{} = stream, interval, interpolator, {own, placed})
       when is_integer(interval) and interval > 0 do
     if own[:give_up_after] || own[:max_queue],
-      do: raise(ArgumentError, "give_up_after: and max_queue: go with a stream as the clock")
+      do: raise(ArgumentError, "give_up_after: and max_queue: need a stream as the clock")
 
     options = [interpolator: interpolator, interval: interval] ++ Keyword.take(own, [:align])
     type = Interpolator.type(interpolator, stream.type)
@@ -97,7 +100,7 @@ defmodule Situ.Fusion.Assembly do
 
   def tick(_name, _stream, clock, _interpolator, _options) do
     raise ArgumentError,
-          "a clock is a stream or an interval of 1 ns or more, got: #{inspect(clock)}"
+          "the clock must be a stream or an interval of 1 ns or more, got: #{inspect(clock)}"
   end
 
   defp common(streams), do: streams |> Enum.map(& &1.type) |> Output.common()
@@ -105,6 +108,6 @@ defmodule Situ.Fusion.Assembly do
   defp named(streams),
     do: for({stream, index} <- Enum.with_index(streams), do: {input(index), stream})
 
-  # Graphs are built by programs: the atoms are as few as their inputs.
+  # Graphs are built by programs, so there are only as many atoms as their inputs.
   defp input(index), do: :"s#{index}"
 end

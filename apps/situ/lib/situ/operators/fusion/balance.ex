@@ -1,13 +1,13 @@
 defmodule Situ.Fusion.Balance do
   @moduledoc false
-  # Keeps the inputs of a fusion operator together, so that memory does not depend on which of two sources runs more
-  # often: an input far ahead of the awaited one is held for a moment.
-  # It is never held for good, since the awaited input may depend on it (both may come from one source, by way of a
-  # filter): when no message has arrived for the time of a hold, the input is released and the limit doubled. Such a
-  # graph costs a few such moments, and the memory that it needs. While other processes of the VM are at work, one of
-  # them may be about to send the awaited message and only lack a core: then up to 25 holds (half a second) pass
-  # before the release.
-  # The length of a queue is the newest sequence id less that of the queue's head.
+  # Keeps the inputs of a fusion operator close together, so that memory does not depend on which of two sources runs
+  # more often. An input that is far ahead of the awaited one is held temporarily.
+  # A hold is never permanent, since the awaited input may depend on the held one (both may come from one source, one
+  # of them through a filter). If no message arrives during a hold, the input is released and the limit is doubled.
+  # Such a graph costs a few holds and the memory it needs. While other processes of the VM are busy, one of them may
+  # be about to send the awaited message and only be waiting for a core. In that case up to 25 holds (half a second)
+  # pass before the release.
+  # The length of a queue is the newest sequence id minus the sequence id of its head.
 
   @limit 8_192
   @patience 25
@@ -16,7 +16,7 @@ defmodule Situ.Fusion.Balance do
 
   defstruct limit: @limit, newest: %{}, held: [], idle: 0
 
-  @doc "For inputs that may run ahead by some 8,000 messages, or by half of `max_queue`."
+  @doc "Builds a balance for inputs that may run ahead by about 8,000 messages, or by half of `max_queue`."
   @spec new(pos_integer() | nil) :: t()
   def new(nil), do: %__MODULE__{}
   def new(max_queue), do: %__MODULE__{limit: max(min(@limit, div(max_queue, 2)), 1)}
@@ -29,7 +29,7 @@ defmodule Situ.Fusion.Balance do
           idle: non_neg_integer()
         }
 
-  @doc "Messages of `input` arrived."
+  @doc "Records that messages of `input` have arrived."
   @spec seen(t(), input(), [Situ.Message.t()]) :: t()
   def seen(balance, input, messages),
     do: %{
@@ -39,9 +39,9 @@ defmodule Situ.Fusion.Balance do
     }
 
   @doc """
-  The outputs of a component after it has taken something in, with the holds and resumes of its inputs, and its
-  state, which keeps the balance under `balance`: `heads` are the inputs' queues, `{input, sequence id of the first
-  message | nil}`; `awaited` are the inputs that the operator waits for.
+  Returns the outputs of a component, together with the holds and resumes of its inputs, and the updated state, which
+  contains the balance under `balance`. `heads` are the inputs' queues, `{input, sequence id of the first message |
+  nil}`. `awaited` are the inputs that the operator is waiting for.
   """
   @spec after_step([term()], state, [{input(), non_neg_integer() | nil}], [input()]) ::
           {[term()], state}
@@ -53,7 +53,7 @@ defmodule Situ.Fusion.Balance do
     end
   end
 
-  @doc "As the component's callback of that name: the end of a hold; everything else is ignored."
+  @doc "Handles the end of a hold, as the component's callback of the same name. Other messages are ignored."
   @spec handle_info(term(), state) :: {[term()], state}
         when state: %{:balance => t(), optional(atom()) => term()}
   def handle_info({:hold_ended, input}, state) do
@@ -63,7 +63,7 @@ defmodule Situ.Fusion.Balance do
 
   def handle_info(_other, state), do: {[], state}
 
-  @doc "`input` is no more."
+  @doc "Forgets an input that was removed."
   @spec forget(t(), input()) :: t()
   def forget(balance, input) do
     %{
@@ -74,8 +74,8 @@ defmodule Situ.Fusion.Balance do
   end
 
   @doc """
-  The inputs to hold and to resume, as actions: `heads` are the inputs' queues, `{input, sequence id of the first
-  message | nil}`; `awaited` are the inputs that the operator waits for.
+  Returns the holds and resumes of inputs as actions. `heads` are the inputs' queues, `{input, sequence id of the first
+  message | nil}`. `awaited` are the inputs that the operator is waiting for.
   """
   @spec actions(t(), [{input(), non_neg_integer() | nil}], [input()]) :: {list(), t()}
   def actions(balance, heads, awaited) do
@@ -88,7 +88,7 @@ defmodule Situ.Fusion.Balance do
     end
   end
 
-  @doc "Nothing came while `input` was held, and the rest of the VM was `busy?` or not: it is held on, or let go."
+  @doc "Ends a hold of `input` during which nothing arrived: extends it if the VM was busy, and otherwise releases it."
   @spec ended(t(), input(), boolean()) :: {list(), t()}
   def ended(%{idle: idle} = balance, input, true) when idle < @patience do
     if input in balance.held,
@@ -101,7 +101,7 @@ defmodule Situ.Fusion.Balance do
     {[], %{balance | held: held, limit: balance.limit * 2, idle: 0}}
   end
 
-  @doc "Whether something is under way: messages that this process has not seen yet, or another process at work."
+  @doc "Returns whether messages are in flight: this process has unread messages, or other processes are running."
   @spec busy?() :: boolean()
   def busy? do
     Process.info(self(), :message_queue_len) != {:message_queue_len, 0} or

@@ -1,15 +1,15 @@
 defmodule Situ.Fusion.Core do
   @moduledoc """
-  The pure core of fusion: one queue of primary messages, one per secondary stream, and the rule that pairs them.
+  The pure core of fusion: a queue of primary messages, a queue per secondary stream, and the rule that pairs them.
 
-  Each arrival tries to complete the oldest primary: each secondary's interpolator gives a value at its time.
+  Each arrival tries to complete the oldest primary, by asking each secondary's interpolator for a value at its time.
 
-    * All have one: an output at the primary's originating time.
-    * One cannot say yet: the primary waits, and later ones behind it, so outputs come in the primaries' order.
-    * One has none: the primary is dropped.
+    * If all secondaries have a value, there is an output at the primary's originating time.
+    * If one is undecided, the primary and all later ones wait, so outputs keep the order of the primaries.
+    * If one has no value, the primary is dropped.
 
-  Secondary messages that no later primary can need are dropped at once, so memory is bounded by the messages that
-  are undecided.
+  Secondary messages that no later primary can need are dropped immediately, so memory is bounded by the undecided
+  messages.
 
       iex> core = Situ.Fusion.Core.new(&{&1, &2}, members: [{:s0, 0, Situ.Reproducible.exact(), []}], values: :one)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
@@ -18,11 +18,10 @@ defmodule Situ.Fusion.Core do
       iex> outputs
       [{:out, 2, {:b, :x}}]
 
-  Secondaries may come and go. Each takes part for a span of originating times: a primary at time t needs a value of
-  every member with `from <= t < until`, and of no other; of a member's messages those before `from` are as if they
-  had never been. So the outputs depend on the spans alone, and not on when a member was added or removed, as long
-  as no primary of the span had arrived before: `add/5` and `remove/3` refuse to change a decision that may have
-  been made.
+  Secondaries can be added and removed. Each takes part for a span of originating times: a primary at time t needs a
+  value from each member with `from <= t < until`, and from no other. A member's messages before `from` are ignored.
+  So the outputs depend only on the spans, and not on when a member was added or removed, as long as no primary of the
+  span had arrived by then. `add/5` and `remove/3` reject changes to decisions that may already have been made.
 
       iex> core = Situ.Fusion.Core.new(&{&1, &2}, values: :map)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
@@ -71,14 +70,14 @@ defmodule Situ.Fusion.Core do
         }
 
   @doc """
-  A fusion whose outputs are `creator.(primary, values)`.
+  Builds a fusion whose outputs are `creator.(primary, values)`.
 
-    * `members:` `{input, key, interpolator, span}` of each secondary, the span as options of `add/5`
+    * `members:` `{input, key, interpolator, span}` for each secondary, with the span as options of `add/5`
     * `values:` `:one` (the only secondary's value), `:list` or `:map` (by key)
-    * `give_up_after:` ns: a primary that still waits when a primary this much later has arrived is decided by the
-      messages that are there. It bounds memory when a secondary falls silent, and makes the result depend on
+    * `give_up_after:` maximum wait, ns. When a primary this much later has arrived, a waiting primary is decided using
+      the messages that have arrived. This bounds memory when a secondary falls silent, and makes the result depend on
       timing.
-    * `max_queue:` the same by count: so many primaries wait at most, and so many messages of each secondary
+    * `max_queue:` the maximum number of waiting primaries, and of waiting messages of each secondary
     * `ended: :leave`: a member whose stream has ended is not needed after that time
   """
   @spec new((term(), term() -> term()), keyword()) :: t()
@@ -93,9 +92,9 @@ defmodule Situ.Fusion.Core do
   end
 
   @doc """
-  A member from now on. `from:` is the first time that needs it: by default, and at the earliest, behind the last
-  primary that has arrived and behind `after:`, the last of its messages that will not come. Answers the time, or
-  `:start` when nothing has been yet. `until:` as `remove/3` would set it.
+  Adds a member. `from:` is the first time that needs it. The default, and the earliest time allowed, is after the last
+  primary that has arrived and after `after:`, the last message of the member that was missed. Returns that time, or
+  `:start` if nothing has arrived yet. `until:` has the same meaning as in `remove/3`.
   """
   @spec add(t(), input(), term(), Interpolator.t(), keyword()) ::
           {:ok, Situ.Time.t() | :start, t()} | {:error, Error.t()}
@@ -112,8 +111,8 @@ defmodule Situ.Fusion.Core do
   end
 
   @doc """
-  The member with this key is not needed from `until:` on: by default, and at the earliest, behind the last primary
-  that has arrived; `:start` when none has.
+  Removes the member with this key. It is not needed from `until:` on. The default, and the earliest time allowed, is
+  after the last primary that has arrived. Returns `:start` if no primary has arrived yet.
   """
   @spec remove(t(), term(), keyword()) ::
           {:ok, Situ.Time.t() | :start, [Component.action()], t()} | {:error, Error.t()}
@@ -128,7 +127,7 @@ defmodule Situ.Fusion.Core do
     end
   end
 
-  @doc "Primary messages arrived."
+  @doc "Adds primary messages and returns the outputs they cause."
   @spec primary(t(), [Message.t()]) :: {[Component.action()], t()}
   def primary(core, []), do: {[], core}
 
@@ -136,17 +135,17 @@ defmodule Situ.Fusion.Core do
     arrived = MessageQueue.last(messages)
     core = %{core | queue: MessageQueue.push(core.queue, messages), arrived: arrived}
 
-    # Only where the wait is bounded can a primary decide something about another one.
+    # A primary can only decide another one if the wait is bounded.
     if core.waiting == nil or core.give_up_after != nil or core.max_queue != nil,
       do: Decision.run(core),
       else: {[], core}
   end
 
-  @doc "The primary stream ended: primaries that still wait are decided by their secondaries alone."
+  @doc "Marks the primary stream as ended. Waiting primaries are then decided by their secondaries alone."
   @spec close_primary(t()) :: t()
   def close_primary(core), do: %{core | closed: true}
 
-  @doc "Messages of a member arrived; those of one that is gone are passed over."
+  @doc "Adds messages of a member and returns the outputs they cause. Messages of removed members are ignored."
   @spec secondary(t(), input(), [Message.t()]) :: {[Component.action()], t()}
   def secondary(
         %{members: [%{input: input, from: nil} = member]} = core,
@@ -169,7 +168,7 @@ defmodule Situ.Fusion.Core do
     end
   end
 
-  @doc "A member's stream ended at `time`."
+  @doc "Marks a member's stream as ended at `time`."
   @spec close(t(), input(), Situ.Time.t()) :: {[Component.action()], t()}
   def close(core, input, time) do
     case Enum.find(core.members, &(&1.input == input)) do
@@ -183,7 +182,7 @@ defmodule Situ.Fusion.Core do
     end
   end
 
-  @doc "Inputs whose members nobody will need any more; they are forgotten."
+  @doc "Removes the members that no primary can need any more, and returns their inputs."
   @spec gone(t()) :: {[input()], t()}
   def gone(%{values: :map} = core) do
     case Enum.split_with(core.members, &over?(&1, core)) do
@@ -194,12 +193,12 @@ defmodule Situ.Fusion.Core do
 
   def gone(core), do: {[], core}
 
-  @doc "The input that a decision waits for, or `:primary`."
+  @doc "Returns the input that the next decision is waiting for, or `:primary`."
   @spec awaited(t()) :: input()
   def awaited(%{waiting: {input, _until}}), do: input
   def awaited(_core), do: :primary
 
-  @doc "The sequence ids of the first messages that wait, per input."
+  @doc "Returns the sequence id of the first waiting message per input."
   @spec heads(t()) :: [{input(), non_neg_integer() | nil}]
   def heads(core) do
     secondary =
@@ -209,7 +208,7 @@ defmodule Situ.Fusion.Core do
     [{:primary, MessageQueue.head(core.queue)} | secondary]
   end
 
-  @doc "How many messages wait: of the primary, and of each key."
+  @doc "Returns the number of waiting primaries, and of waiting messages per key."
   @spec queued(t()) :: %{primary: non_neg_integer(), secondary: [{term(), non_neg_integer()}]}
   def queued(core) do
     %{
@@ -218,7 +217,7 @@ defmodule Situ.Fusion.Core do
     }
   end
 
-  # A waiting primary is looked at again only when the stream that it waits for got far enough.
+  # A waiting primary is only reconsidered when the stream it is waiting for has advanced far enough.
   defp awake(%{waiting: nil} = core, _input, _last), do: Decision.run(core)
   defp awake(%{waiting: {input, nil}} = core, input, _last), do: Decision.run(core)
 
@@ -230,7 +229,7 @@ defmodule Situ.Fusion.Core do
   defp arrived(%{arrived: nil}), do: nil
   defp arrived(%{arrived: message}), do: message.originating_time
 
-  # Those that leave have no key any more.
+  # Members that have an end no longer occupy their key.
   defp keys(core), do: for(%{until: nil, key: key} <- core.members, do: key)
 
   defp find(core, key) do

@@ -1,6 +1,6 @@
 defmodule Situ.Fusion.Decision do
   @moduledoc false
-  # Decides the primaries of a fusion that wait, from the oldest on, until one of them has to wait on. Pure.
+  # Decides the waiting primaries of a fusion, oldest first, until one has to keep waiting. Pure.
   alias Situ.Component
   alias Situ.Fusion.{Core, Member, MessageQueue, Secondary}
 
@@ -21,7 +21,7 @@ defmodule Situ.Fusion.Decision do
       else: {:lists.reverse(outputs), core}
   end
 
-  # Primaries before this time wait no longer: a much later one has arrived, or too many wait.
+  # Primaries before this time stop waiting: a much later one has arrived, or too many are waiting.
   defp limit(%{give_up_after: nil, max_queue: nil}), do: nil
 
   defp limit(core) do
@@ -53,7 +53,7 @@ defmodule Situ.Fusion.Decision do
     end
   end
 
-  # One secondary that is always there: the common case, without lists of members.
+  # The common case, a single secondary that is always present, needs no lists of members.
   defp decide(front, %{values: :one, members: [member]} = core, limit, outputs) do
     context = {member.interpolator, core.creator, limit}
 
@@ -106,7 +106,7 @@ defmodule Situ.Fusion.Decision do
       {:given_up, members} ->
         several(rest, members, context, outputs, given_up + 1)
 
-      # The same primary is asked for again: its secondaries must be as they were.
+      # The same primary will be decided again later, so its secondaries must stay unchanged.
       {:wait, waiting} ->
         {front, members, waiting, outputs, given_up}
     end
@@ -115,8 +115,8 @@ defmodule Situ.Fusion.Decision do
   defp shaped(:map, values), do: :maps.from_list(values)
   defp shaped(:list, values), do: for({_key, value} <- :lists.reverse(values), do: value)
 
-  # The values of all members in order, the last first. Each queue is trimmed as its own answer allows even when
-  # another one has no value, since a trimmed message is one that later primaries cannot need either.
+  # Collects the values of all members in reverse order. Each queue is trimmed according to its own result, even if
+  # another member has no value, because later primaries cannot need a trimmed message either.
   defp ask([], _time, _limit, values, done), do: {:all, values, :lists.reverse(done)}
 
   defp ask([%Member{from: from} = member | rest], time, limit, values, done)

@@ -1,11 +1,11 @@
 defmodule Situ.Fusion.DynamicInputs do
   @moduledoc false
-  # Asks a running pipeline to add an input to a fusion operator, or to take one away.
+  # Asks a running pipeline to add an input to a fusion operator, or to remove one.
   alias Situ.{Argument, Error, Options, Pipeline, Stream}
 
   @policy [policy: [type: {:struct, Situ.Delivery}]]
 
-  @doc "See `Situ.Fusion.add_input/4`."
+  @doc "Adds an input, see `Situ.Fusion.add_input/4`."
   @spec add(term(), term(), Stream.t() | String.t(), keyword()) ::
           {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
   def add(fused, key, stream, opts) do
@@ -25,7 +25,7 @@ defmodule Situ.Fusion.DynamicInputs do
     Pipeline.Client.call(pipeline, {:attach, asked})
   end
 
-  @doc "See `Situ.Fusion.remove_input/3`."
+  @doc "Removes an input, see `Situ.Fusion.remove_input/3`."
   @spec remove(term(), term(), keyword()) ::
           {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
   def remove(fused, key, opts) do

@@ -1,14 +1,21 @@
 defmodule Situ.Fusion.Fuse do
   @moduledoc false
-  # The component behind join, fuse, interpolate and sample by a clock: input :primary, and secondaries :s0, :s1
-  # ..., which may come and go where their values are a map.
+  # The component of join, fuse, and interpolate and sample with a clock. Its inputs are :primary and the secondaries
+  # :s0, :s1 ..., which can be added and removed if their values form a map.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],
     options: [
-      members: [type: :list, required: true, doc: "{input, key, interpolator, span} of each."],
+      members: [
+        type: :list,
+        required: true,
+        doc: "`{input, key, interpolator, span}` of each member."
+      ],
       values: [type: {:in, [:one, :list, :map]}, required: true],
-      interpolator: [type: {:optional, {:struct, Situ.Interpolator}}, doc: "Of added inputs."],
+      interpolator: [
+        type: {:optional, {:struct, Situ.Interpolator}},
+        doc: "Interpolator of added inputs."
+      ],
       creator: [type: {:fun, 2}, required: true],
       reproducible: [type: :boolean, default: false],
       give_up_after: [type: {:optional, :pos_integer}],
@@ -80,7 +87,10 @@ defmodule Situ.Fusion.Fuse do
     if opts[:values] == :map,
       do: :ok,
       else:
-        {:error, Error.new(:fixed_inputs, "its inputs are fixed", fix: "join a map of streams")}
+        {:error,
+         Error.new(:fixed_inputs, "the inputs of this operator are fixed",
+           fix: "join a map of streams"
+         )}
   end
 
   defp leaving(entries, key, until) do

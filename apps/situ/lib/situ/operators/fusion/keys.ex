@@ -1,27 +1,27 @@
 defmodule Situ.Fusion.Keys do
   @moduledoc false
-  # Keys of inputs that come and go: no two alike, and a key that is asked for is there.
+  # Keys of inputs that can be added and removed. Checks that new keys are unique and requested keys exist.
   alias Situ.Error
 
-  @doc "`key` is not among those taken."
+  @doc "Checks that `key` is not among the keys in use."
   @spec free([term()], term()) :: :ok | {:error, Error.t()}
   def free(taken, key) do
     if key in taken do
       {:error,
-       Error.new(:duplicate_input, "there is already an input #{inspect(key)}",
-         fix: "give it another key, or remove the other one first"
+       Error.new(:duplicate_input, "an input #{inspect(key)} already exists",
+         fix: "use a different key, or remove the existing input first"
        )}
     else
       :ok
     end
   end
 
-  @doc "The error of a key that is not there."
+  @doc "Returns the error for a key that does not exist."
   @spec unknown([term()], term()) :: {:error, Error.t()}
   def unknown(known, key) do
     {:error,
-     Error.new(:unknown_input, "there is no input #{inspect(key)}",
-       fix: "there are: " <> Enum.map_join(known, ", ", &inspect/1)
+     Error.new(:unknown_input, "input #{inspect(key)} does not exist",
+       fix: "existing inputs: " <> Enum.map_join(known, ", ", &inspect/1)
      )}
   end
 end

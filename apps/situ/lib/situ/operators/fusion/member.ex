@@ -1,8 +1,8 @@
 defmodule Situ.Fusion.Member do
   @moduledoc false
-  # A secondary stream of a fusion: the input it comes by, the key of its values, and the span of originating times
-  # for which it takes part. `from`: the first time that needs it (`nil`: all do); `until`: the first that does not
-  # any more.
+  # A secondary stream of a fusion: its input, the key of its values, and the span of originating times for which it
+  # takes part. `from` is the first time that needs it (`nil`: all times do). `until` is the first time that no longer
+  # needs it.
   alias Situ.Fusion.Secondary
 
   @enforce_keys [:input, :key, :interpolator]
@@ -17,7 +17,7 @@ defmodule Situ.Fusion.Member do
           queue: Secondary.t()
         }
 
-  @doc "Those of some messages that it takes part with."
+  @doc "Returns the messages at or after `from`, which are the ones the member uses."
   @spec since([Situ.Message.t()], Situ.Time.t() | nil) :: [Situ.Message.t()]
   def since(messages, nil), do: messages
   def since([%{originating_time: time} | rest], from) when time < from, do: since(rest, from)

@@ -1,10 +1,11 @@
 defmodule Situ.Fusion.Merger do
   @moduledoc false
-  # The component behind merge: whole messages in the order of arrival, stamped with the clock. Inputs may come and go.
+  # The component of merge. It emits complete messages in order of arrival, with the clock's time. Inputs can be added
+  # and removed.
   use Situ.Component,
     inputs: [],
     outputs: [out: Situ.Message],
-    options: [members: [type: :list, required: true, doc: "{input, key} of each."]]
+    options: [members: [type: :list, required: true, doc: "`{input, key}` of each member."]]
 
   alias Situ.Fusion.Keys
   alias Situ.Options

@@ -1,7 +1,7 @@
 defmodule Situ.Fusion.MessageQueue do
   @moduledoc false
-  # Messages that wait in order: a list to take from, and batches that came later, newest first. Taking in a batch
-  # costs the same however much waits; the batches are put behind the list when that is used up.
+  # An ordered queue of waiting messages: a list to take from, and batches that arrived later, newest first. Adding a
+  # batch costs the same at any queue length. The batches are merged into the list when it is used up.
   alias Situ.Message
 
   @type t :: {[Message.t()], [[Message.t()]]}
@@ -13,7 +13,7 @@ defmodule Situ.Fusion.MessageQueue do
   def push({[], []}, messages), do: {messages, []}
   def push({front, rear}, messages), do: {front, [messages | rear]}
 
-  @doc "All in one list."
+  @doc "Merges all batches into one list."
   @spec whole(t()) :: t()
   def whole({_front, []} = queue), do: queue
   def whole({[], [messages]}), do: {messages, []}
@@ -27,8 +27,8 @@ defmodule Situ.Fusion.MessageQueue do
   end
 
   @doc """
-  The messages up to and including `time`, and the queue without them. Later batches are searched only if the first
-  list has no message after `time`.
+  Takes the messages up to and including `time`, and returns the rest of the queue. Later batches are searched only if
+  the first list has no message after `time`.
   """
   @spec take(t(), Situ.Time.t()) :: {[Message.t()], t()}
   def take({front, rear}, time) do
@@ -43,7 +43,7 @@ defmodule Situ.Fusion.MessageQueue do
     end
   end
 
-  @doc "The sequence id of the first message."
+  @doc "Returns the sequence id of the first message."
   @spec head(t()) :: non_neg_integer() | nil
   def head({[%{sequence_id: id} | _], _rear}), do: id
   def head({[], []}), do: nil
@@ -52,8 +52,8 @@ defmodule Situ.Fusion.MessageQueue do
   @spec count(t()) :: non_neg_integer()
   def count({front, rear}), do: length(front) + Enum.reduce(rear, 0, &(length(&1) + &2))
 
-  @doc "By how many messages it is longer than `max`; `newest` is the sequence id of the last one."
-  # Ids rise by at least one: a span of ids within the bound needs no counting.
+  @doc "Returns the number of messages beyond `max`. `newest` is the sequence id of the last message."
+  # Ids increase by at least one, so a span of ids within the limit needs no counting.
   @spec excess(t(), non_neg_integer(), pos_integer() | nil) :: non_neg_integer()
   def excess(_queue, _newest, nil), do: 0
 
@@ -65,7 +65,7 @@ defmodule Situ.Fusion.MessageQueue do
     end
   end
 
-  @doc "The last of some messages."
+  @doc "Returns the last message of a list."
   @spec last([Message.t(), ...]) :: Message.t()
   def last([message]), do: message
   def last([_ | rest]), do: last(rest)

@@ -1,12 +1,12 @@
 defmodule Situ.Fusion.Output do
   @moduledoc false
-  # The output of a fusion operator: the function that makes it, and its type. Pure.
+  # The output of a fusion operator: the function that builds it, and its type. Pure.
   alias Situ.Fusion.Arguments
   alias Situ.{Interpolator, Type}
 
   @doc """
-  The function that makes the output of a primary and the values of its secondaries, the output's type, and the form
-  in which the function takes the values. `interpolators` are those of the secondaries.
+  Returns the function that builds the output from a primary and the values of its secondaries, the output's type, and
+  the form in which the function takes the values. `interpolators` are the secondaries' interpolators.
   """
   @spec plan(Arguments.streams(), [Interpolator.t()], keyword()) ::
           {(term(), term() -> term()), Type.t(), :one | :list | :map}
@@ -36,15 +36,15 @@ defmodule Situ.Fusion.Output do
 
   defp type(default, opts), do: if(opts[:with], do: :any, else: default)
 
-  @typedoc "The type of a stream's values, and the default that may stand for one of them."
+  @typedoc "The type of a stream's values, and the default used in place of a missing value."
   @type values :: {Type.t(), :none | {:value, term()}}
 
-  @doc "The values that an interpolator gives of a stream of this type."
+  @doc "Returns the type and default of the values that an interpolator produces from a stream of this type."
   @spec values(Interpolator.t(), Type.t()) :: values()
   def values(interpolator, type),
     do: {Interpolator.type(%{interpolator | default: :none}, type), interpolator.default}
 
-  @doc "The function that makes the output of a primary and one value, and the output's type."
+  @doc "Returns the function that builds the output from a primary and one value, and the output's type."
   @spec creator(Type.t(), values(), keyword()) :: {(term(), term() -> term()), Type.t()}
   def creator(primary, {type, default} = values, opts) do
     cond do
@@ -98,7 +98,7 @@ defmodule Situ.Fusion.Output do
   defp wide(tuple, _n) when is_tuple(tuple), do: tuple
   defp wide(default, n), do: Tuple.duplicate(default, n)
 
-  @doc "The type that all of them have, or any."
+  @doc "Returns the type common to all, or `:any`."
   @spec common([Type.t()]) :: Type.t()
   def common(types) do
     case Enum.uniq(types) do

@@ -1,6 +1,6 @@
 defmodule Situ.Fusion.Pair do
   @moduledoc false
-  # The component behind pair: each primary with the secondary that arrived last.
+  # The component of pair. It pairs each primary with the secondary that arrived last.
   use Situ.Component,
     inputs: [primary: :any, secondary: :any],
     outputs: [out: :any],

@@ -1,6 +1,6 @@
 defmodule Situ.Fusion.Sampler do
   @moduledoc false
-  # The component behind sample and interpolate at a fixed interval.
+  # The component of sample and interpolate with a fixed interval.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],
@@ -19,8 +19,8 @@ defmodule Situ.Fusion.Sampler do
   def handle_message(input, message, context, state),
     do: handle_messages(input, [message], context, state)
 
-  # Ticks count from the pipeline's start; data older than that (recorded, in a pipeline in real time) move the
-  # first tick.
+  # Ticks are counted from the pipeline's start. Older data (recorded data in a real-time pipeline) moves the first
+  # tick.
   @impl true
   def handle_messages(:in, [first | _] = messages, context, {:idle, opts}) do
     start = min(context.start_time, first.originating_time)
@@ -36,7 +36,7 @@ defmodule Situ.Fusion.Sampler do
   def handle_info(_other, _context, sampling), do: {[], sampling}
 
   @impl true
-  # A source that never gave anything has values by default only.
+  # A source that never sent a message only has default values.
   def handle_closed(:in, time, context, {:idle, opts} = state) do
     case opts[:interpolator] do
       %{default: :none} ->

@@ -1,11 +1,11 @@
 defmodule Situ.Fusion.Secondary do
   @moduledoc false
-  # One secondary stream of a fusion: the messages that wait, the last time it has reached, and the time at which it
-  # ended. Messages that no later primary can need are dropped with each answer.
+  # A secondary stream of a fusion: the waiting messages, the last time it has reached, and the time at which it ended.
+  # Messages that no later primary can need are dropped with each result.
   alias Situ.{Interpolator, Message}
   alias Situ.Fusion.MessageQueue
 
-  @typedoc "The two parts of a `MessageQueue`, the last message's time, and that of the end."
+  @typedoc "The two parts of a `MessageQueue`, the time of the last message, and the time of the end."
   @type t :: {[Message.t()], [[Message.t()]], Situ.Time.t() | nil, Situ.Time.t() | nil}
   @type answer ::
           {:created, term(), t()}
@@ -16,7 +16,7 @@ defmodule Situ.Fusion.Secondary do
   @spec new() :: t()
   def new, do: {[], [], nil, nil}
 
-  @doc "Messages arrived, of which at most `max` stay (`nil`: all); how many had to go."
+  @doc "Adds messages, keeps at most `max` (`nil`: all), and returns the number of dropped messages."
   @spec push(t(), [Message.t(), ...], pos_integer() | nil) :: {t(), non_neg_integer()}
   def push({front, rear, _last, closed}, messages, max) do
     last = MessageQueue.last(messages)
@@ -26,23 +26,24 @@ defmodule Situ.Fusion.Secondary do
     {{front, rear, last.originating_time, closed}, dropped}
   end
 
-  @doc "The stream ended at `time`."
+  @doc "Marks the stream as ended at `time`."
   @spec close(t(), Situ.Time.t()) :: t()
   def close(secondary, time), do: put_elem(secondary, 3, time)
 
-  @doc "The time of the last message that arrived."
+  @doc "Returns the time of the last message that arrived."
   @spec reached(t()) :: Situ.Time.t() | nil
   def reached({_front, _rear, last, _closed}), do: last
 
-  @doc "The messages that wait."
+  @doc "Returns the queue of waiting messages."
   @spec queue(t()) :: MessageQueue.t()
   def queue({front, rear, _last, _closed}), do: {front, rear}
 
   @doc """
-  The value at `time`. Before `limit` (a time, or `nil`) nothing is waited for: what is there decides.
+  Returns the value at `time`. Before `limit` (a time, or `nil`) it does not wait and uses the messages that have
+  arrived.
   """
-  # The end of the queue is the end of what arrived only when nothing is left in `rear`: an interpolator that does not
-  # wait, and any one asked about a closed stream, must see all.
+  # The end of `front` is the end of the queue only when `rear` is empty. An interpolator that does not wait, or any
+  # interpolator on a closed stream, must see all messages.
   @spec ask(Interpolator.t(), Situ.Time.t(), t(), Situ.Time.t() | nil) :: answer()
   def ask(interpolator, time, {_front, rear, last, closed} = secondary, limit) do
     closed = closed || if limit != nil and time < limit, do: last || time
@@ -76,7 +77,7 @@ defmodule Situ.Fusion.Secondary do
     end
   end
 
-  # Closed in earnest, or only for this primary because it waited too long.
+  # The stream is closed, or is only treated as closed for this primary because it waited too long.
   defp gone({_, _, _, nil} = secondary, obsolete, closed) when closed != nil,
     do: {:given_up, trim(secondary, obsolete)}
 

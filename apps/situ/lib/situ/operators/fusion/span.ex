@@ -1,15 +1,15 @@
 defmodule Situ.Fusion.Span do
   @moduledoc false
-  # From which originating time on an input takes part, or is left out: what may still be decided, and what is over.
+  # The span of originating times for which an input takes part. Checks new bounds, and whether the span is over.
   alias Situ.{Error, Message}
 
-  # Before every time that there is.
+  # Earlier than every possible time.
   @beginning -0x8000000000000000
 
   @spec beginning() :: Situ.Time.t()
   def beginning, do: @beginning
 
-  @doc "The first time behind all of these; `nil` when there are none."
+  @doc "Returns the first time after all of these times, or `nil` if there are none."
   @spec behind([Situ.Time.t() | nil]) :: Situ.Time.t() | nil
   def behind(times) do
     case Enum.reject(times, &is_nil/1) do
@@ -18,7 +18,7 @@ defmodule Situ.Fusion.Span do
     end
   end
 
-  @doc "The time that was asked for, or else the earliest; one before the earliest is too late."
+  @doc "Returns the requested time, or the earliest one if none was requested. Rejects times before the earliest."
   @spec possible(Situ.Time.t() | nil, Situ.Time.t() | nil, String.t()) ::
           {:ok, Situ.Time.t() | nil} | {:error, Error.t()}
   def possible(nil, earliest, _what), do: {:ok, earliest}
@@ -29,14 +29,14 @@ defmodule Situ.Fusion.Span do
     {:error,
      Error.new(:too_late, "an input cannot #{what} #{time} ns",
        why: "messages up to #{earliest - 1} ns have already been handled",
-       fix: "give a time of #{earliest} ns or later, or none",
+       fix: "use a time of #{earliest} ns or later, or omit it",
        meta: %{earliest: earliest}
      )}
   end
 
   @doc """
-  Whether no primary will need a span any more: it never began, or those before its end have been handled and none can
-  come.
+  Returns whether no later primary can need the span: it never began, or all primaries before its end have been
+  handled and no more can arrive.
   """
   @spec over?(
           {Situ.Time.t() | nil, Situ.Time.t() | nil},

@@ -1,9 +1,9 @@
 defmodule Situ.Fusion.Zip do
   @moduledoc """
-  The pure heart of `Situ.zip/2`: groups the messages of several inputs by originating time.
+  The pure core of `Situ.zip/2`: groups the messages of several inputs by originating time.
 
-  A group goes out once every input has reached its time (or ended), in time order; inside a group values are in the
-  order of the inputs, and an input without a message at that time adds nothing.
+  A group is emitted once every input has reached its time or ended, in time order. Values in a group are in the order
+  of the inputs. An input without a message at that time adds nothing.
 
       iex> zip = Situ.Fusion.Zip.new(2)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
@@ -19,8 +19,8 @@ defmodule Situ.Fusion.Zip do
   alias Situ.{Component, Message}
   alias Situ.Fusion.MessageQueue
 
-  # Per input: its queue and the time it has reached. An input that has sent nothing is at `:nothing`, an ended one
-  # at `:closed`.
+  # Contains each input's queue and the time it has reached: `:nothing` if the input has not sent a message, and
+  # `:closed` if it has ended.
   @enforce_keys [:inputs]
   defstruct [:inputs, frontier: :nothing]
 
@@ -30,11 +30,11 @@ defmodule Situ.Fusion.Zip do
           frontier: reached()
         }
 
-  @doc "For this many inputs."
+  @doc "Builds the state for `n` inputs."
   @spec new(pos_integer()) :: t()
   def new(n), do: %__MODULE__{inputs: List.duplicate({MessageQueue.new(), :nothing}, n)}
 
-  @doc "Messages of input number `index` (from 0) arrived."
+  @doc "Adds messages of input number `index` (from 0) and returns the groups that are complete."
   @spec push(t(), non_neg_integer(), [Message.t()]) :: {[Component.action()], t()}
   def push(zip, _index, []), do: {[], zip}
 
@@ -49,24 +49,24 @@ defmodule Situ.Fusion.Zip do
     release(%{zip | inputs: inputs})
   end
 
-  @doc "Input number `index` ended."
+  @doc "Marks input number `index` as ended and returns the groups that are complete."
   @spec close(t(), non_neg_integer()) :: {[Component.action()], t()}
   def close(zip, index) do
     release(%{zip | inputs: List.update_at(zip.inputs, index, &put_elem(&1, 1, :closed))})
   end
 
-  @doc "Indices of the inputs that hold the others back."
+  @doc "Returns the indices of the inputs that delay the others."
   @spec awaited(t()) :: [non_neg_integer()]
   def awaited(zip) do
     least = frontier(zip.inputs, :closed)
     for {{_, reached}, index} <- Enum.with_index(zip.inputs), reached == least, do: index
   end
 
-  @doc "The sequence ids of the first messages that wait, per input."
+  @doc "Returns the sequence id of the first waiting message per input."
   @spec heads(t()) :: [non_neg_integer() | nil]
   def heads(zip), do: for({queue, _} <- zip.inputs, do: MessageQueue.head(queue))
 
-  @doc "How many messages wait, per input."
+  @doc "Returns the number of waiting messages per input."
   @spec queued(t()) :: [non_neg_integer()]
   def queued(zip), do: for({queue, _} <- zip.inputs, do: MessageQueue.count(queue))
 
@@ -83,12 +83,12 @@ defmodule Situ.Fusion.Zip do
     {group(:lists.reverse(released)), %{zip | inputs: kept}}
   end
 
-  # `:closed`, an atom, sorts after every time; an input that has sent nothing holds everything back.
+  # `:closed` is an atom and so sorts after every time. An input that has not sent a message delays all others.
   defp frontier([], least), do: least
   defp frontier([{_, :nothing} | _], _least), do: :nothing
   defp frontier([{_, reached} | inputs], least), do: frontier(inputs, min(reached, least))
 
-  # An input at the frontier is one that holds the others back: all of it goes out.
+  # An input at the frontier delays the others, so its whole queue can be emitted.
   defp split({queue, reached}, frontier) when frontier == :closed or frontier == reached do
     {released, []} = MessageQueue.whole(queue)
     {released, {MessageQueue.new(), reached}}
@@ -99,7 +99,7 @@ defmodule Situ.Fusion.Zip do
     {released, {queue, reached}}
   end
 
-  # Inputs from the last to the first, so that each one's value is put in front.
+  # Goes through the inputs from last to first, so that each value can be prepended.
   defp group([last | others]) do
     groups = for %{originating_time: time, data: data} <- last, do: {:out, time, [data]}
     Enum.reduce(others, groups, &weave(&1, &2))

@@ -1,6 +1,6 @@
 defmodule Situ.Fusion.Zipper do
   @moduledoc false
-  # The component behind zip.
+  # The component of zip.
   use Situ.Component,
     inputs: [],
     outputs: [out: :list],

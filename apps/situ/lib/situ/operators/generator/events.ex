@@ -1,8 +1,8 @@
 defmodule Situ.Generator.Events do
   @moduledoc false
-  # The push source behind event_source: data that other processes post, stamped with the pipeline's clock by the
-  # poster. So a message's time does not depend on when this process gets to it, and all that was posted before a
-  # stop comes out.
+  # The push source of event_source. It emits data that other processes post, with the time of the pipeline's clock read
+  # by the poster. So a message's time does not depend on when this process handles it, and all data posted before a
+  # stop is emitted.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],
@@ -45,7 +45,7 @@ defmodule Situ.Generator.Events do
   @impl true
   def terminate(_reason, state), do: release(state)
 
-  # Everything that is in the mailbox was posted before the stop.
+  # All messages in the mailbox were posted before the stop.
   defp waiting(%{ref: ref} = state, actions) do
     receive do
       {:situ_event, ^ref, time, data} ->
@@ -56,7 +56,7 @@ defmodule Situ.Generator.Events do
     end
   end
 
-  # Of two posters, the one that was interrupted between the clock and the mailbox comes behind the other.
+  # A poster may be interrupted between reading the clock and sending; its message then follows the other poster's.
   defp posted(time, data, %{last: last} = state) do
     time = if last != nil and time < last, do: last + 1, else: time
     {[{:out, time, data}], %{state | last: time}}

@@ -1,7 +1,7 @@
 defmodule Situ.Generator.Feed do
   @moduledoc false
-  # A generator's items, one at a time: `next/1` answers `{time, value, feed}` or `:done`. Pure, but for the
-  # enumerables of users. Times of a paced feed are start, start + interval, ...
+  # A generator's items, one at a time: `next/1` returns `{time, value, feed}` or `:done`. Pure, except for users'
+  # enumerables. Times of a paced feed are start, start + interval, ...
 
   alias Situ.Sampling
 
@@ -12,16 +12,16 @@ defmodule Situ.Generator.Feed do
           | {:range, Range.t()}
           | {:enum, (Enumerable.acc() -> Enumerable.result()) | :done}
 
-  @doc "Items `interval` apart, from `start` or the first aligned time after it."
+  @doc "Builds a feed of items at an interval, from `start` or the first aligned time after it."
   @spec paced(items(), Situ.Time.t(), Situ.Time.duration(), Situ.Time.t() | nil) :: t()
   def paced(items, start, interval, align),
     do: {:paced, items, Sampling.first_tick(start, interval, align), interval}
 
-  @doc "Items that bring their times: `{time, value}` or a `Situ.Message`."
+  @doc "Builds a feed of items that contain their times: `{time, value}` or a `Situ.Message`."
   @spec timed(items()) :: t()
   def timed(items), do: {:timed, items}
 
-  @doc "The items of an enumerable, taken as they are asked for."
+  @doc "Converts an enumerable to items, which are read on demand."
   @spec items(Enumerable.t()) :: items()
   def items(list) when is_list(list), do: {:list, list}
   def items(%Range{} = range), do: {:range, range}
@@ -30,7 +30,7 @@ defmodule Situ.Generator.Feed do
     {:enum, &Enumerable.reduce(enumerable, &1, fn item, _ -> {:suspend, {:item, item}} end)}
   end
 
-  @doc "The next item."
+  @doc "Returns the next item and the rest of the feed."
   @spec next(t()) :: {Situ.Time.t(), term(), t()} | :done
   def next({:paced, {:sequence, _, _, 0}, _time, _interval}), do: :done
 
@@ -56,7 +56,7 @@ defmodule Situ.Generator.Feed do
     end
   end
 
-  @doc "Whether it is known, without asking anybody for an item, that there is none up to `till`."
+  @doc "Returns whether it is known, without reading an item, that there are no more items up to `till`."
   @spec ended?(t(), Situ.Time.t() | :infinity) :: boolean()
   def ended?({:timed, items}, _till), do: none?(items)
 
@@ -68,7 +68,7 @@ defmodule Situ.Generator.Feed do
   defp none?({:range, range}), do: Enum.empty?(range)
   defp none?({:enum, continue}), do: continue == :done
 
-  @doc "Lets go of an enumerable that was not read to its end (open files ...)."
+  @doc "Closes an enumerable that was not read to its end (open files ...)."
   @spec close(t()) :: :ok
   def close({:paced, items, _, _}), do: halt(items)
   def close({:timed, items}), do: halt(items)
@@ -102,7 +102,7 @@ defmodule Situ.Generator.Feed do
     Situ.Error.new(
       :no_time,
       "expected {time, value} or a message, got: #{inspect(other, limit: 5)}",
-      fix: "give every: for values without times"
+      fix: "set every: if the values have no times"
     )
   end
 end

@@ -1,19 +1,19 @@
 defmodule Situ.Generator.Source do
   @moduledoc false
-  # The pull source behind the generators: as many items as there is demand for, up to the replay's end.
+  # The pull source of the generators. It emits items on demand, up to the replay's end.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],
     options: [
-      feed: [type: {:fun, 1}, required: true, doc: "Makes the feed from the start time."],
-      timed: [type: :boolean, default: false, doc: "Times before the replay are passed over."],
-      equal: [type: :boolean, default: false, doc: "Equal times are left to `on_same_time:`."],
+      feed: [type: {:fun, 1}, required: true, doc: "Builds the feed from the start time."],
+      timed: [type: :boolean, default: false, doc: "Skips times before the replay."],
+      equal: [type: :boolean, default: false, doc: "Leaves equal times to `on_same_time:`."],
       keep_open: [type: :boolean, default: false]
     ]
 
   alias Situ.Generator.Feed
 
-  # phase: :open, :done (nothing more to give) or an error to raise after what came before it has gone out.
+  # phase: :open, :done (no more items), or an error to raise after the preceding items have been emitted.
   defstruct [
     :make,
     :feed,
@@ -54,7 +54,7 @@ defmodule Situ.Generator.Source do
   def handle_demand(_n, _context, %{phase: %Situ.Error{} = error}), do: raise(error)
 
   def handle_demand(n, context, state) do
-    # An atom sorts after every time: without an end, everything lies before it.
+    # An atom sorts after every time, so without an end all items are included.
     till = min(context.replay_end, state.final || :infinity)
     produce(n, till, state, [])
   end
@@ -62,14 +62,14 @@ defmodule Situ.Generator.Source do
   @impl true
   def handle_stop(_final, _context, %{phase: phase} = state) when phase != :open, do: {[], state}
 
-  # Values asked for but not made yet are made on demand, up to and including the final time.
+  # Values that were requested but not produced yet are produced on demand, up to and including the final time.
   def handle_stop(final, _context, state) do
     if state.last != nil and state.last >= final,
       do: {[], %{state | phase: :done, final: final}},
       else: {[:stopping], %{state | final: final}}
   end
 
-  # The feed itself is functions, mostly: it is made again, and as many items are passed over.
+  # Most feeds contain functions and cannot be saved, so the feed is rebuilt and the same number of items is skipped.
   @impl true
   def snapshot(state),
     do: {:ok, Map.take(state, [:taken, :last, :started, :from, :phase, :final, :keep_open])}
@@ -97,8 +97,8 @@ defmodule Situ.Generator.Source do
   defp produce(n, till, state, actions),
     do: give(n, till, state, {state.ahead, state.feed, state.last, state.taken}, actions)
 
-  # How far it has come is written into the state once for all that was asked for.
-  # If it is known that this was the last item, that is said together with it.
+  # The progress is written to the state once per demand.
+  # If the feed is known to have ended, the end is emitted together with the last item.
   defp give(0, till, state, {nil, feed, _last, _taken} = reached, actions) do
     if Feed.ended?(feed, till),
       do: give(1, till, state, reached, actions),
@@ -130,7 +130,7 @@ defmodule Situ.Generator.Source do
   defp at(state, {ahead, feed, last, taken}),
     do: %{state | ahead: ahead, feed: feed, last: last, taken: taken}
 
-  # The next item lies past the end: a stop may move the end, but only to an earlier time.
+  # The next item is after the end. A stop may move the end, but only to an earlier time.
   defp late(item, state, actions), do: finish(%{state | ahead: item}, actions)
 
   defp finish(%{final: final} = state, actions) when final != nil,
@@ -139,11 +139,11 @@ defmodule Situ.Generator.Source do
   defp finish(%{keep_open: true} = state, actions),
     do: {:lists.reverse(actions), %{state | phase: :done}}
 
-  # The last one may have been nudged: the output knows its time.
+  # The time of the last item may have been nudged, and only the output knows the result.
   defp finish(%{equal: true, last: last} = state, actions) when last != nil,
     do: {:lists.reverse(actions, [{:close, :out}]), %{state | phase: :done}}
 
-  # Closing says that it is complete, too, and lets operators decide now what waits for more.
+  # Closing also marks the output as complete, so that waiting operators can decide immediately.
   defp finish(state, actions) do
     {:lists.reverse(actions, [{:close, :out, state.last || state.started}]),
      %{state | phase: :done}}
@@ -151,10 +151,12 @@ defmodule Situ.Generator.Source do
 
   defp stumble(time, state, actions) do
     error =
-      Situ.Error.new(:time_not_increasing, "an item at #{time} ns after one at #{state.last} ns",
-        why: "originating times of one stream strictly increase",
+      Situ.Error.new(
+        :time_not_increasing,
+        "the item at #{time} ns follows an item at #{state.last} ns",
+        why: "originating times of a stream must strictly increase",
         fix:
-          "sort the items (equal times: on_same_time:), or bring late ones into order with Situ.reorder/3",
+          "sort the items (equal times: on_same_time:), or reorder late items with Situ.reorder/3",
         meta: %{time: time, last_time: state.last}
       )
 

@@ -1,6 +1,6 @@
 defmodule Situ.Generator.Timer do
   @moduledoc false
-  # The push source behind timer: a message whenever the clock has passed another interval.
+  # The push source of timer. It emits a message each time the clock has advanced by an interval.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],
@@ -11,7 +11,7 @@ defmodule Situ.Generator.Timer do
     {:ok, %{every: opts[:every], fun: opts[:fun] || fn _now, elapsed -> elapsed end, last: nil}}
   end
 
-  # A timer has no end of its own: only a replay's end is one.
+  # A timer never ends by itself; only the end of a replay ends it.
   @impl true
   def handle_start(context, state) do
     ending = if context.replay_end == :infinity, do: [{:complete, :infinity}], else: []
@@ -22,7 +22,7 @@ defmodule Situ.Generator.Timer do
   def handle_info({:timer, {:tick, due}}, context, state) do
     time = if state.last == nil, do: context.now, else: max(context.now, state.last + 1)
     data = state.fun.(time, time - context.start_time)
-    # Ticks that were missed are not made up for.
+    # Missed ticks are skipped.
     missed = div(max(context.now - due, 0), state.every) * state.every
     {[{:out, time, data} | next(due + missed, context, state)], %{state | last: time}}
   end

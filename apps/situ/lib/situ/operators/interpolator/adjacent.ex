@@ -1,6 +1,7 @@
 defmodule Situ.Interpolator.Adjacent do
   @moduledoc false
-  # A function of the two messages on either side of the asked time; one exactly there is taken as it is.
+  # Applies a function to the two messages on either side of the requested time. A message at exactly that time is
+  # returned unchanged.
   @behaviour Situ.Interpolator
 
   alias Situ.Message

@@ -1,6 +1,6 @@
 defmodule Situ.Interpolator.First do
   @moduledoc false
-  # The first message inside the window. Streams are ordered, so the first one seen is the first one.
+  # Selects the first message in the window. Streams are ordered, so the first match is the earliest message.
   @behaviour Situ.Interpolator
 
   alias Situ.{Interval, Message}
@@ -22,7 +22,7 @@ defmodule Situ.Interpolator.First do
     end
   end
 
-  # The first message after the left end: in the window, or else past it, and then nothing can be inside.
+  # `at` is the first message after the left end. If it is past the right end, the window is empty.
   defp inside(at, data, time, low, window) do
     if Interval.before_right?(
          at,

@@ -1,6 +1,6 @@
 defmodule Situ.Interpolator.Last do
   @moduledoc false
-  # The last message inside the window: provable when something lies at or past its right end.
+  # Selects the last message in the window. It is certain when a message at or after the right end has arrived.
   @behaviour Situ.Interpolator
 
   alias Situ.{Interval, Message}

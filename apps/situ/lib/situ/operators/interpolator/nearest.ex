@@ -1,13 +1,13 @@
 defmodule Situ.Interpolator.Nearest do
   @moduledoc false
-  # The message nearest to the asked time inside the window; of two at the same distance the later one.
+  # Selects the message in the window nearest to the requested time; the later of two at the same distance.
   @behaviour Situ.Interpolator
 
   alias Situ.{Interval, Message}
 
   @type config :: {Interval.t(), waits? :: boolean()}
 
-  # Ends of the window as guards. An atom sorts after every number: an unbounded right end is later than everything.
+  # The ends of the window as guards. An atom sorts after every number, so an unbounded right end is after all times.
   defguardp from?(at, low, inclusive)
             when low == :unbounded or at > low or (inclusive and at == low)
 
@@ -21,13 +21,13 @@ defmodule Situ.Interpolator.Nearest do
     %{left_inclusive: low_in, right_inclusive: high_in} = window
     {low, high} = {edge(time, window.left), edge(time, window.right)}
 
-    # Both ends at one time and not both included: nothing can lie in such a window.
+    # If both ends have the same time and are not both included, the window cannot contain a message.
     if low == high and low != :unbounded and not (low_in and high_in),
       do: empty(messages, time, {low, high}, waits? and closed == nil),
       else: before(messages, time, {low, high, waits? and closed == nil}, low_in, high_in)
   end
 
-  # Up to the first message in the window.
+  # Skips messages up to the first one in the window.
   defp before([%Message{originating_time: at} | rest], time, {low, _, _} = frame, low_in, high_in)
        when not from?(at, low, low_in),
        do: before(rest, time, frame, low_in, high_in)
@@ -45,7 +45,7 @@ defmodule Situ.Interpolator.Nearest do
   defp before([_past | _], time, {_, high, _}, _low_in, _high_in), do: none(time, high)
   defp before([], time, frame, _low_in, _high_in), do: none_yet(time, frame)
 
-  # From there to the first that is past the window, or farther away than the best so far.
+  # Scans up to the first message that is past the window, or farther away than the best so far.
   defp scan(
          [%Message{originating_time: at} = message | rest],
          time,
@@ -81,8 +81,8 @@ defmodule Situ.Interpolator.Nearest do
   defp empty([_there | _], time, {_low, high}, _waits?), do: none(time, high)
   defp empty([], time, {low, high}, waits?), do: none_yet(time, {low, high, waits?})
 
-  # Every message lies before the window: unless the stream has ended, one that fits may come. The first that could
-  # settle it is one in the window from where no later one can be nearer.
+  # All messages are before the window. Unless the stream has ended, a matching message may still arrive. The result
+  # can be certain only from the time in the window after which no later message can be nearer.
   defp none_yet(time, {low, high, true}) do
     decided_at = decided_at(time, high)
     {:wait, if(low == :unbounded, do: decided_at, else: max(low, decided_at))}
@@ -93,7 +93,7 @@ defmodule Situ.Interpolator.Nearest do
   defp created(%Message{data: data, originating_time: at}), do: {:created, data, at}
   defp none(time, high), do: {:does_not_exist, decided_at(time, high)}
 
-  # From here on no message can be nearer than one that is already there.
+  # Returns the time from which no later message can be nearer than the messages that have already arrived.
   defp decided_at(time, :unbounded), do: time
   defp decided_at(time, high), do: min(time, high)
 

@@ -1,19 +1,19 @@
 defmodule Situ.Parallel.Parts do
   @moduledoc false
-  # The list or map of parts that a message is split into, checked against the form of a parallel operator.
+  # Splits a message into a list or map of parts, and checks it against the form of the parallel operator.
 
   @type form :: {:fixed, pos_integer()} | :variable | :sparse | :present
 
-  @doc "The parts of a message's data, by `split` if there is one."
+  @doc "Returns the parts of a message's data, split by `split` if it is given."
   @spec of(form(), (term() -> term()) | nil, term()) :: list() | map()
   def of(form, split, data) when is_function(split, 1), do: checked(form, split.(data))
   def of(form, _split, data), do: checked(form, data)
 
-  @doc "Key and value of each; the keys of a list are its positions."
+  @doc "Returns the key and value of each part. The keys of a list are its positions."
   @spec pairs(list() | map()) :: [{term(), term()}]
   def pairs(list) when is_list(list), do: number(list, 0)
 
-  # By key: the order of a map's own is not the same in every Erlang, and branches begin in this one.
+  # Sorted by key, because the order of a map differs between Erlang versions, and branches are started in this order.
   def pairs(map), do: map |> Map.to_list() |> List.keysort(0)
 
   defp number([], _i), do: []
@@ -31,15 +31,15 @@ defmodule Situ.Parallel.Parts do
 
     raise Situ.Error.new(
             :wrong_data,
-            "parallel takes #{wanted} here, got: #{inspect(other, limit: 5)}",
-            fix: "give split: fn data -> #{wanted} end"
+            "expected #{wanted} of parts, got: #{inspect(other, limit: 5)}",
+            fix: "set split: fn data -> #{wanted} end"
           )
   end
 
   defp wrong_length(n, got) do
-    Situ.Error.new(:wrong_length, "a list of #{got} elements for #{n} branches",
+    Situ.Error.new(:wrong_length, "expected a list of #{n} elements, got #{got} elements",
       why: "size: fixes the number of branches",
-      fix: "leave size: out where the length varies"
+      fix: "omit size: if the length varies"
     )
   end
 end

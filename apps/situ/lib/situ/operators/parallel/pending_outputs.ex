@@ -1,28 +1,28 @@
 defmodule Situ.Parallel.PendingOutputs do
   @moduledoc false
-  # The times whose outputs are not decided yet, in order: which branches are live at each, what they gave, and how
-  # many of them may still give something.
+  # The times whose outputs are undecided, in order, with the live branches at each time, their values, and the number
+  # of branches that may still add a value.
 
   @enforce_keys [:missing, :creator]
   defstruct [:missing, :creator, waiting: %{}, order: :queue.new()]
 
-  @typedoc "The branches that belong to an output: the first n positions, or keys."
+  @typedoc "The branches of an output: the first n positions, or keys."
   @type live :: non_neg_integer() | [term()]
   @type t :: %__MODULE__{}
 
-  @doc "`missing`: `:drop`, or `{:value, default}`; `creator` makes the output of the list or map of values."
+  @doc "Builds an empty state. `creator` builds the output from the list or map of values."
   @spec new(:drop | {:value, term()}, (list() | map() -> term())) :: t()
   def new(missing, creator), do: %__MODULE__{missing: missing, creator: creator}
 
-  @doc "How many times wait."
+  @doc "Returns the number of waiting times."
   @spec size(t()) :: non_neg_integer()
   def size(entries), do: map_size(entries.waiting)
 
-  @doc "The first time that waits."
+  @doc "Returns the first waiting time."
   @spec first(t()) :: {:value, Situ.Time.t()} | :empty
   def first(entries), do: :queue.peek(entries.order)
 
-  @doc "A time of which `open` branches are undecided."
+  @doc "Adds a time at which `open` branches are undecided."
   @spec add(t(), Situ.Time.t(), live(), map(), non_neg_integer()) :: t()
   def add(entries, time, live, values, open) do
     entry = %{live: live, values: values, open: open}
@@ -30,7 +30,7 @@ defmodule Situ.Parallel.PendingOutputs do
     %{entries | waiting: waiting, order: :queue.in(time, entries.order)}
   end
 
-  @doc "A branch gave this at a time that waits for it."
+  @doc "Adds the value of a branch at a time that is waiting for it."
   @spec found(t(), Situ.Time.t(), term(), term()) :: t()
   def found(%{waiting: waiting} = entries, time, key, value) do
     %{^time => %{values: values, open: open} = entry} = waiting
@@ -38,7 +38,7 @@ defmodule Situ.Parallel.PendingOutputs do
     %{entries | waiting: %{waiting | time => entry}}
   end
 
-  @doc "A branch gives nothing at these times, which wait for it."
+  @doc "Records that a branch has no value at these times, which are waiting for it."
   @spec lost(t(), [Situ.Time.t()]) :: t()
   def lost(entries, times) do
     Enum.reduce(times, entries, fn time, entries ->
@@ -49,7 +49,7 @@ defmodule Situ.Parallel.PendingOutputs do
   defp update(entries, time, fun),
     do: %{entries | waiting: Map.update!(entries.waiting, time, fun)}
 
-  @doc "The outputs that are decided, up to the first time that is not."
+  @doc "Takes the decided outputs, up to the first undecided time."
   @spec flush(t()) :: {[Situ.Component.action()], t()}
   def flush(entries), do: flush(entries, [])
 
@@ -64,7 +64,7 @@ defmodule Situ.Parallel.PendingOutputs do
     end
   end
 
-  @doc "The output at a time of which all is known."
+  @doc "Builds the output of a time at which all values are known."
   @spec output(t(), Situ.Time.t(), live(), map()) :: [Situ.Component.action()]
   def output(entries, time, live, values) do
     case {map_size(values) == count(live), entries.missing} do
@@ -80,12 +80,12 @@ defmodule Situ.Parallel.PendingOutputs do
   defp shape(keys, values, _default) when map_size(values) == length(keys), do: values
   defp shape(keys, values, default), do: Map.new(keys, &{&1, Map.get(values, &1, default)})
 
-  @doc "The keys of live branches."
+  @doc "Returns the keys of live branches."
   @spec keys(live()) :: [term()]
   def keys(n) when is_integer(n), do: Enum.to_list(0..(n - 1)//1)
   def keys(keys), do: keys
 
-  @doc "How many live branches."
+  @doc "Returns the number of live branches."
   @spec count(live()) :: non_neg_integer()
   def count(n) when is_integer(n), do: n
   def count(keys), do: length(keys)

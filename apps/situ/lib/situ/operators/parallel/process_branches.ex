@@ -1,8 +1,8 @@
 defmodule Situ.Parallel.ProcessBranches do
   @moduledoc false
-  # The pure core of parallel with branches in processes: which branch each key has, which times wait for it, and the
-  # messages to send. As in ValueBranches a time is decided when each of its branches has emitted something for it, or
-  # cannot any more: it has emitted something later, has passed the time without output, or has ended.
+  # The pure core of parallel with branches in processes: the branch of each key, the times that wait for it, and the
+  # messages to send. As in ValueBranches, a time is decided when each of its branches has emitted an output for it, or
+  # no longer can: it has emitted a later output, has passed the time without output, or has ended.
   alias Situ.Message
   alias Situ.Parallel.{PendingOutputs, Parts, Termination}
 
@@ -26,7 +26,7 @@ defmodule Situ.Parallel.ProcessBranches do
   @type outputs :: [Situ.Component.action()]
   @type t :: %__MODULE__{}
 
-  @doc "`form`, `termination`, `missing`, `creator` as of `Situ.Parallel.ValueBranches.new/1`."
+  @doc "Builds the state from the options of `Situ.Parallel.ValueBranches.new/1`, except `start` and `on_failure`."
   @spec new(keyword()) :: t()
   def new(opts) do
     {entries, opts} = Keyword.split(opts, [:missing, :creator])
@@ -37,13 +37,13 @@ defmodule Situ.Parallel.ProcessBranches do
     )
   end
 
-  @doc "Keys among these parts that have no branch."
+  @doc "Returns the keys of these parts that have no branch."
   @spec unknown(t(), list() | map()) :: [term()]
   def unknown(pool, parts) do
     for {key, _} <- Parts.pairs(parts), not is_map_key(pool.keys, key), do: key
   end
 
-  @doc "The branch of `key` was started; the first branch shows whether branches have outputs at all."
+  @doc "Adds the started branch of `key`. The first branch shows whether branches have outputs."
   @spec started(t(), term(), id(), boolean()) :: t()
   def started(pool, key, id, output?) do
     %{
@@ -55,7 +55,7 @@ defmodule Situ.Parallel.ProcessBranches do
     }
   end
 
-  @doc "One message of parts; every key has its branch."
+  @doc "Handles the parts of one message. Every key must have a branch."
   @spec push(t(), Message.t(), list() | map()) :: {[order()], outputs(), t()}
   def push(pool, message, parts) do
     time = message.originating_time
@@ -77,8 +77,8 @@ defmodule Situ.Parallel.ProcessBranches do
   end
 
   @doc """
-  Takes in outputs of a branch, in order. If `passed` is a time, the branch has handled all parts up to it and has no
-  more output for them.
+  Adds outputs of a branch, in order. If `passed` is a time, the branch has handled all parts up to it and has no more
+  outputs for them.
   """
   @spec reported(t(), id(), [{Situ.Time.t(), term()}], Situ.Time.t() | nil) :: {outputs(), t()}
   def reported(pool, id, reported, passed) do
@@ -93,7 +93,7 @@ defmodule Situ.Parallel.ProcessBranches do
     end
   end
 
-  # Times that wait for the branch, against those that it gave something for, both in order.
+  # Compares the times that wait for the branch with the times of its outputs; both are in order.
   defp settle([{at, value} | reported], passed, [time | waiting], key, entries) when at == time,
     do: settle(reported, passed, waiting, key, PendingOutputs.found(entries, time, key, value))
 
@@ -111,7 +111,7 @@ defmodule Situ.Parallel.ProcessBranches do
   defp whole(front, []), do: front
   defp whole(front, rear), do: front ++ :lists.reverse(rear)
 
-  @doc "A branch has ended, and everything it gave is here."
+  @doc "Removes a branch that has ended. All its outputs must have been added."
   @spec ended(t(), id()) :: {outputs(), t()}
   def ended(pool, id) do
     case Map.pop(pool.branches, id) do
@@ -126,20 +126,20 @@ defmodule Situ.Parallel.ProcessBranches do
     end
   end
 
-  @doc "The input has ended: every branch ends with it."
+  @doc "Closes the input, which ends every branch."
   @spec close(t(), Situ.Time.t()) :: {[order()], t()}
   def close(pool, time) do
     stops = for {_key, {id, seen, _}} <- pool.keys, do: {:stop, id, last(time, seen)}
     {stops, %{pool | keys: %{}}}
   end
 
-  @doc "The key of a branch."
+  @doc "Returns the key of a branch."
   @spec key(t(), id()) :: {:ok, term()} | :error
   def key(pool, id) do
     with {:ok, {key, _waiting}} <- Map.fetch(pool.branches, id), do: {:ok, key}
   end
 
-  @doc "The branches that the first undecided time waits for."
+  @doc "Returns the branches that the first undecided time is waiting for."
   @spec awaited(t()) :: [id()]
   def awaited(pool) do
     case PendingOutputs.first(pool.entries) do
@@ -153,7 +153,7 @@ defmodule Situ.Parallel.ProcessBranches do
     end
   end
 
-  # Lists never ask when a branch was last seen: nothing to note.
+  # Branches of lists do not need the time at which they were last seen.
   defp feed({key, data}, %{form: form} = pool, message) when form not in [:sparse, :present] do
     {id, _seen, _absent} = Map.fetch!(pool.keys, key)
     {{:feed, id, {message.originating_time, data}}, pool}

@@ -1,16 +1,16 @@
 defmodule Situ.Parallel.Processes do
   @moduledoc false
-  # The component behind parallel with `branches: :processes`: each branch is a pipeline of its own
-  # (Branch.Process), told what to do by the pure ProcessBranches.
+  # The component of parallel with `branches: :processes`. Each branch is a separate pipeline (Branch.Process), and the
+  # pure ProcessBranches decides what to send to it.
   #
-  # Messages whose outputs are not decided are bounded: from @limit on, the input is held. It is let go, and the
-  # limit doubled, when nothing comes any more although no branch is at work: they wait for more input then (a
-  # window, a filter).
+  # The number of messages with undecided outputs is limited: from @limit on, the input is held. If nothing arrives
+  # although no branch is working, the branches need more input (for a window or a filter). The input is then
+  # released and the limit doubled.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],
     options: [
-      fun: [type: :any, required: true, doc: "of a stream, or of a key and a stream"],
+      fun: [type: :any, required: true, doc: "A function of a stream, or of a key and a stream."],
       type: [type: :any, default: :any],
       form: [type: :any, required: true],
       split: [type: {:optional, {:fun, 1}}],
@@ -62,7 +62,7 @@ defmodule Situ.Parallel.Processes do
     balance(outputs, carry_out(after_all, orders))
   end
 
-  # Nothing is sent before all messages are known to be good.
+  # Nothing is sent until all messages are known to be valid.
   defp push(message, {orders, outputs, state}, context, before) do
     or_abandon(state, before, fn ->
       parts = Parts.of(state.opts.form, state.opts[:split], message.data)
@@ -104,7 +104,7 @@ defmodule Situ.Parallel.Processes do
     end
   end
 
-  # The outputs of what is still in the branches come before this one's end.
+  # The outputs of parts that are still in the branches must be emitted before this operator ends.
   @impl true
   def handle_closed(_input, time, context, state) do
     {orders, pool} = ProcessBranches.close(state.pool, time)
@@ -126,10 +126,10 @@ defmodule Situ.Parallel.Processes do
     ending = map_size(state.branches) - map_size(pool.keys)
     ends = if ending > 0, do: ", #{ending} ending", else: ""
 
-    "#{map_size(pool.keys)} branches live, each a pipeline of its own, #{pool.started} started#{ends}#{failed}#{waits}"
+    "#{map_size(pool.keys)} branches live, each its own pipeline, #{pool.started} started#{ends}#{failed}#{waits}"
   end
 
-  @doc "The pipelines of the branches."
+  @doc "Returns the pipelines of the branches."
   @spec pipelines(term()) :: [pid()]
   def pipelines(%__MODULE__{branches: branches}), do: for({_, branch} <- branches, do: branch.pid)
 
@@ -146,7 +146,7 @@ defmodule Situ.Parallel.Processes do
     %{state | pool: pool, branches: running}
   end
 
-  # A message that fails takes the branches with it that were begun for it.
+  # If a message fails, the branches that were started for it are stopped.
   defp or_abandon(state, before, fun) do
     fun.()
   rescue
@@ -161,7 +161,7 @@ defmodule Situ.Parallel.Processes do
   defp carry_out(state, orders),
     do: %{state | branches: RunningBranches.carry_out(orders, state.branches)}
 
-  # All that has been said already, in one turn.
+  # Handles all branch messages that are already in the mailbox, in one time slice.
   defp listen({outputs, state}) do
     receive do
       {:situ_branch, id, said} ->
@@ -183,7 +183,7 @@ defmodule Situ.Parallel.Processes do
 
   defp said(_of_a_branch_that_is_gone, _id, state), do: {[], state}
 
-  # A branch has ended: as it was told to, or by a failure.
+  # A branch has ended, either as requested or because it failed.
   defp over(id, result, state) do
     {outputs, pool} = ProcessBranches.ended(state.pool, id)
 
@@ -202,7 +202,7 @@ defmodule Situ.Parallel.Processes do
   defp failed({:error, _error}, %{opts: %{on_branch_error: :restart}} = state),
     do: put_in(state.pool.failed, state.pool.failed + 1)
 
-  # Raised with the next message, so that the state without the branch is kept whatever `on_error` says.
+  # The error is raised with the next message, so that the state without the branch is kept for any `on_error:`.
   defp failed({:error, error}, state) do
     send(self(), {:situ_branch_failed, error})
     state
@@ -223,8 +223,8 @@ defmodule Situ.Parallel.Processes do
     end
   end
 
-  # Until every branch has ended. The pipeline around it sees that something moves, however long they take for what
-  # they have.
+  # Waits until every branch has ended, however long the branches take for their remaining messages. It keeps reporting
+  # progress to the surrounding pipeline.
   defp drain(%{branches: branches} = state, _around, _marks, outputs)
        when map_size(branches) == 0,
        do: drained(state, outputs)

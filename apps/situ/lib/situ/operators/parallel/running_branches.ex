@@ -1,7 +1,7 @@
 defmodule Situ.Parallel.RunningBranches do
   @moduledoc false
-  # The running branches of a parallel operator, each a pipeline of its own: started, fed, stopped, removed. Entries
-  # for a branch that has not opened its input yet wait until it has.
+  # The running branches of a parallel operator, each in its own pipeline: starts, feeds, stops and removes them.
+  # Entries for a branch that has not opened its input yet are kept until it has.
   alias Situ.Branch.Process, as: Branch
   alias Situ.Parallel.ProcessBranches
   alias Situ.Lifecycle.Errors
@@ -9,7 +9,7 @@ defmodule Situ.Parallel.RunningBranches do
 
   @type t :: %{ProcessBranches.id() => map()}
 
-  @doc "Starts a branch; `timing` as of `Situ.Branch.Process.start!/5`."
+  @doc "Starts a branch, with `timing` as in `Situ.Branch.Process.start!/5`."
   @spec begin(
           t(),
           ProcessBranches.id(),
@@ -24,7 +24,7 @@ defmodule Situ.Parallel.RunningBranches do
     Map.put(running, id, Map.merge(built, shell))
   end
 
-  @doc "Ends branches that are not among those `before`."
+  @doc "Ends all branches that are not in `before`."
   @spec abandon(t(), t()) :: :ok
   def abandon(running, before) do
     for {id, branch} <- running, not is_map_key(before, id) do
@@ -35,7 +35,7 @@ defmodule Situ.Parallel.RunningBranches do
     :ok
   end
 
-  @doc "Carries out the pool's orders; all entries for one branch go in one message."
+  @doc "Carries out the pool's orders. All entries for one branch are sent in one message."
   @spec carry_out([ProcessBranches.order()], t()) :: t()
   def carry_out(orders, running) do
     {running, entries} = Enum.reduce(orders, {running, %{}}, &carry_out_one/2)
@@ -45,7 +45,7 @@ defmodule Situ.Parallel.RunningBranches do
   defp carry_out_one({:feed, id, entry}, {running, entries}),
     do: {running, later(entries, id, entry)}
 
-  # Only a run of light operators tells what it has passed.
+  # Only chains of light operators report the times they have passed.
   defp carry_out_one({:pass, id, time}, {running, entries}) do
     if Map.fetch!(running, id).immediate?,
       do: {running, later(entries, id, time)},
@@ -75,7 +75,7 @@ defmodule Situ.Parallel.RunningBranches do
     end
   end
 
-  @doc "Notes that a branch has opened its input, and sends it the entries that waited."
+  @doc "Records that a branch has opened its input, and sends it the waiting entries."
   @spec opened(t(), ProcessBranches.id(), pid()) :: t()
   def opened(running, id, gate) do
     branch = Map.fetch!(running, id)
@@ -92,7 +92,7 @@ defmodule Situ.Parallel.RunningBranches do
     running
   end
 
-  @doc "The branch and its result, if this message reports the end of a branch; else `nil`."
+  @doc "Returns the branch and its result if this message reports the end of a branch, otherwise `nil`."
   @spec ended(term(), t()) :: {ProcessBranches.id(), Situ.Pipeline.result()} | nil
   def ended({id, result}, running) when is_map_key(running, id), do: {id, result}
 
@@ -103,7 +103,7 @@ defmodule Situ.Parallel.RunningBranches do
 
   def ended(_other, _fleet), do: nil
 
-  @doc "Whether one of these branches is still working; a run of light operators reports by itself when it is done."
+  @doc "Returns whether any of these branches is working. Chains of light operators count, since they report when done."
   @spec at_work?(t(), [ProcessBranches.id()]) :: boolean()
   def at_work?(running, ids) do
     Enum.any?(ids, fn id ->
@@ -112,11 +112,11 @@ defmodule Situ.Parallel.RunningBranches do
     end)
   end
 
-  @doc "The counters of the running branches; they change while any branch makes progress."
+  @doc "Returns the counters of the running branches, which change while any branch makes progress."
   @spec marks(t()) :: term()
   def marks(running), do: for({id, branch} <- running, do: {id, Client.call(branch.pid, :mark)})
 
-  # Entries come newest first.
+  # Entries are newest first.
   defp feed(running, _id, []), do: running
 
   defp feed(running, id, entries) do

@@ -1,13 +1,13 @@
 defmodule Situ.Parallel.Termination do
   @moduledoc false
-  # When the branch of a key ends: the rules of `until:`. Pure.
+  # Decides when the branch of a key ends, by the rules of `until:`. Pure.
 
   @type t ::
           :never
           | {:after_absent, non_neg_integer()}
           | (term(), map(), Situ.Time.t() -> :keep | {:close, Situ.Time.t()})
 
-  @doc "The rule of an `until:` option."
+  @doc "Parses an `until:` option."
   @spec parse(term()) :: t()
   def parse(:absent), do: {:after_absent, 0}
   def parse(:never), do: :never
@@ -16,10 +16,10 @@ defmodule Situ.Parallel.Termination do
 
   def parse(other) do
     raise ArgumentError,
-          "until: is :absent, {:absent, n}, :never or a function of key, map and time, got: #{inspect(other)}"
+          "until: must be :absent, {:absent, n}, :never or a function of key, map and time, got: #{inspect(other)}"
   end
 
-  @doc "The keys of `branches` that the rule has to be asked about at a message with these parts."
+  @doc "Returns the keys of `branches` that the rule must check at a message with these parts."
   @spec asked(t(), %{term() => term()}, map()) :: [term()]
   def asked(:never, _branches, _parts), do: []
   def asked(rule, branches, _parts) when is_function(rule), do: Map.keys(branches)
@@ -33,8 +33,9 @@ defmodule Situ.Parallel.Termination do
   end
 
   @doc """
-  Decides about the branch of a key that was last seen at `seen` and has been absent from `absent` messages since:
-  `:keep`, `{:absent, n}` (the branch stays, with the key absent for the n-th time), or `{:close, time}`.
+  Decides whether the branch of a key ends. `seen` is the time at which the key was last seen, and `absent` the number
+  of messages without it since then. Returns `:keep`, `{:absent, n}` (the branch stays, with the key absent for the n-th
+  time), or `{:close, time}`.
   """
   @spec decide(t(), term(), {Situ.Time.t() | nil, non_neg_integer()}, map(), Situ.Time.t()) ::
           :keep | {:absent, pos_integer()} | {:close, Situ.Time.t() | nil}

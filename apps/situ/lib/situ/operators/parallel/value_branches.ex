@@ -1,11 +1,11 @@
 defmodule Situ.Parallel.ValueBranches do
   @moduledoc false
-  # The pure heart of parallel: parts of a message to branches, and what the branches give for one time back together.
+  # The pure core of parallel: sends the parts of a message to branches, and recombines the branches' values for a time.
   #
-  # A message's time is decided when every live branch has a value at that time, or is known to have none: at once
-  # for branches that are a run of light operators; when something later has come out of it, or it ended, for
-  # others. Times that wait are entries, answered in order. A branch knows which times wait for it, and nothing else
-  # knows the branch: when it ends it is gone.
+  # A message's time is decided when every live branch has a value at that time, or is known to have none. Branches that
+  # are chains of light operators are decided immediately. Other branches are decided when they emit a later output or
+  # end. Waiting times are entries, which are emitted in order. Only a branch knows which times are waiting for it, so
+  # nothing refers to a branch that has ended.
 
   alias Situ.Branch
   alias Situ.Branch.Chained
@@ -28,11 +28,13 @@ defmodule Situ.Parallel.ValueBranches do
   @type t :: %__MODULE__{}
 
   @doc """
+  Builds the state.
+
   * `start`: `fun.(key)` starts a branch
-  * `form`: `{:fixed, n}`, `:variable` (lists), `:sparse` or `:present` (maps: all live keys, or those with a value)
+  * `form`: `{:fixed, n}`, `:variable` (lists), `:sparse` or `:present` (maps: all live keys, or the message's keys)
   * `termination`: a rule of `Situ.Parallel.Termination`, for maps
   * `missing`: `:drop`, or `{:value, default}`
-  * `creator`: makes the output from the list or map of values
+  * `creator`: builds the output from the list or map of values
   * `on_failure`: `:stop` or `:restart`
   """
   @spec new(keyword()) :: t()
@@ -45,7 +47,7 @@ defmodule Situ.Parallel.ValueBranches do
     )
   end
 
-  @doc "One message of parts: a list or a map."
+  @doc "Handles the parts of one message: a list or a map."
   @spec push(t(), Situ.Message.t(), list() | map()) :: {[Situ.Component.action()], t()}
   def push(core, message, parts) do
     time = message.originating_time
@@ -58,7 +60,7 @@ defmodule Situ.Parallel.ValueBranches do
       else: answer(core, time, parts, values)
   end
 
-  @doc "The input ended: every branch ends with it."
+  @doc "Closes the input, which ends every branch."
   @spec close(t(), Situ.Time.t()) :: {[Situ.Component.action()], t()}
   def close(core, time) do
     core =
@@ -69,7 +71,7 @@ defmodule Situ.Parallel.ValueBranches do
     flush(%{core | branches: %{}})
   end
 
-  # Feeding. A branch is `{branch, last_seen, absences, waiting}`; waiting: times not decided, oldest first.
+  # Feeding. A branch is `{branch, last_seen, absences, waiting}`, where `waiting` is the undecided times, oldest first.
 
   defp feed([], branches, values, _message, core), do: {branches, values, core}
 
@@ -103,7 +105,7 @@ defmodule Situ.Parallel.ValueBranches do
     end
   end
 
-  # Lists never ask when a branch was last seen: nothing to note.
+  # Branches of lists do not need the time at which they were last seen.
   defp seen(branches, _key, _entry, _time, %{form: form}) when form not in [:sparse, :present],
     do: branches
 
@@ -140,7 +142,7 @@ defmodule Situ.Parallel.ValueBranches do
     {:outputs, outputs, branch}
   end
 
-  # A branch's answers: at the time under way, at times that wait for it, or at times that nobody asks for.
+  # Sorts a branch's outputs: at the current time, at times that wait for it, or at times that are not needed.
   defp sort([], _key, _now, values, waiting, core), do: {values, waiting, core}
 
   defp sort([{time, value} | rest], key, now, values, waiting, core) do
@@ -189,7 +191,7 @@ defmodule Situ.Parallel.ValueBranches do
     _error -> []
   end
 
-  # Answering
+  # Emitting
 
   defp answer(core, time, parts, values) do
     {later, values} = Enum.split_with(values, &match?({:later, _}, &1))
@@ -210,7 +212,7 @@ defmodule Situ.Parallel.ValueBranches do
   defp live(%{form: :present}, parts, _values), do: Map.keys(parts)
   defp live(%{form: :sparse} = core, _parts, _values), do: Map.keys(core.branches)
 
-  # Branches that may still give something at this time.
+  # Returns the branches that may still emit an output at this time.
   defp undecided(core, live, values, later) do
     all_there? = map_size(values) == PendingOutputs.count(live)
 

@@ -1,11 +1,11 @@
 defmodule Situ.Parallel.Values do
   @moduledoc false
-  # The component behind parallel: all branches live in it.
+  # The component of parallel, which contains all branches.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],
     options: [
-      fun: [type: :any, required: true, doc: "of a stream, or of a key and a stream"],
+      fun: [type: :any, required: true, doc: "A function of a stream, or of a key and a stream."],
       type: [type: :any, default: :any],
       form: [type: :any, required: true],
       split: [type: {:optional, {:fun, 1}}],
@@ -62,8 +62,8 @@ defmodule Situ.Parallel.Values do
     "#{map_size(core.branches)} branches live, #{core.started} started#{failed}#{waits}"
   end
 
-  # A process that holds very many branches must not copy all of them at every turn of the collector: from here on it
-  # sweeps fully only when the old heap is full, and has a young heap for some messages' garbage.
+  # A process with very many branches must not copy all of them in every garbage collection. From @many branches on, it
+  # does a full sweep only when the old heap is full, and has a young heap large enough for several messages' garbage.
   defp make_room(%{branches: branches}, parts)
        when is_map(parts) and map_size(branches) + map_size(parts) > @many do
     if Process.get(@roomy) == nil do

@@ -1,8 +1,7 @@
 defmodule Situ.Selection.Delay do
   @moduledoc false
-  # Holds messages until their time has come on the clock, also when the stream has ended meanwhile. When the pipeline
-  # is stopped, all that it holds comes out: only the moment at which a message comes depends on the clock, never
-  # whether it does.
+  # Holds messages until their time has come on the clock, even if the stream has ended by then. When the pipeline is
+  # stopped, all held messages are emitted. The clock only affects when a message is emitted, never whether it is.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],
@@ -11,7 +10,7 @@ defmodule Situ.Selection.Delay do
   @impl true
   def init(opts), do: {:ok, {opts[:duration], :queue.new()}}
 
-  # Where nothing waits for the clock, nor does this.
+  # If the clock is not enforced, messages pass immediately.
   @impl true
   def handle_message(_input, message, %{enforced?: false}, state), do: {[output(message)], state}
 

@@ -1,11 +1,11 @@
 defmodule Situ.Selection.Edit do
   @moduledoc false
-  # Weaves a stream of edits into a stream: where both have a message, the edit counts.
+  # Merges a stream of edits into a stream. If both have a message at the same time, the edit applies.
   use Situ.Component, inputs: [in: :any, edits: :any], outputs: [out: :any]
 
   alias Situ.Fusion.Zip
 
-  @doc "Edits as a stream carries them: in the order of time, of several at one time the last."
+  @doc "Sorts edits by time for a stream, and keeps the last of several at one time."
   @spec sorted([{Situ.Time.t(), {:put, term()} | :delete}]) :: [{Situ.Time.t(), term()}]
   def sorted(edits), do: edits |> Map.new(&check/1) |> Enum.sort()
 
@@ -28,7 +28,7 @@ defmodule Situ.Selection.Edit do
   def handle_closed(:in, _time, _context, zip), do: woven(Zip.close(zip, 0))
   def handle_closed(:edits, _time, _context, zip), do: woven(Zip.close(zip, 1))
 
-  # An edit stands last in its group.
+  # An edit is the last element of its group.
   defp woven({groups, zip}) do
     {for(
        {:out, time, group} <- groups,
@@ -42,6 +42,6 @@ defmodule Situ.Selection.Edit do
 
   defp check(other) do
     raise ArgumentError,
-          "an edit is {time, {:put, data}} or {time, :delete}, got: #{inspect(other)}"
+          "an edit must be {time, {:put, data}} or {time, :delete}, got: #{inspect(other)}"
   end
 end

@@ -6,7 +6,7 @@ defmodule Situ.Selection.Last do
     outputs: [out: :any],
     options: [count: [type: :non_neg_integer, required: true]]
 
-  # Newest first; cut back to `count` only when twice as many are there.
+  # Messages are newest first, and truncated to `count` only when twice as many have accumulated.
   @impl true
   def init(opts), do: {:ok, {opts[:count], 0, []}}
 

@@ -1,6 +1,6 @@
 defmodule Situ.Selection.Process do
   @moduledoc false
-  # A user's function that answers any number of messages.
+  # Runs a user's function that returns any number of messages.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],

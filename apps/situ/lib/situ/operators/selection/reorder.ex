@@ -1,6 +1,6 @@
 defmodule Situ.Selection.Reorder do
   @moduledoc false
-  # A buffer in the order of a time that each message brings, as long as the lateness allows for.
+  # Buffers messages, ordered by a time of each message, for as long as the lateness allows.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],
@@ -29,13 +29,13 @@ defmodule Situ.Selection.Reorder do
   def handle_closed(_input, _time, _context, state), do: release(state, :infinity, [])
 
   defp held(time, data, state) do
-    # nil is an atom and would win against any time.
+    # `nil` is an atom and would sort after any time.
     newest = if state.newest == nil, do: time, else: max(time, state.newest)
     state = %{state | held: :gb_trees.insert(time, data, state.held), newest: newest}
     release(state, newest - state.opts.lateness, [])
   end
 
-  # Everything before `limit` goes: a message may still come at the limit itself.
+  # Emits everything before `limit`. A message may still arrive at the limit itself.
   defp release(state, limit, outputs) do
     with false <- :gb_trees.is_empty(state.held),
          {time, data, rest} when time < limit <- :gb_trees.take_smallest(state.held) do
@@ -48,9 +48,9 @@ defmodule Situ.Selection.Reorder do
   defp late(_time, %{opts: %{late: :drop}} = state), do: {[], state}
 
   defp late(time, state) do
-    raise Situ.Error.new(:late, "a message at #{time} ns came after one at #{state.sent} ns",
+    raise Situ.Error.new(:late, "a message at #{time} ns arrived after one at #{state.sent} ns",
             why: "it is more than #{state.opts.lateness} ns late",
-            fix: "allow for more lateness, or drop late ones with late: :drop"
+            fix: "increase the lateness, or drop late messages with late: :drop"
           )
   end
 end

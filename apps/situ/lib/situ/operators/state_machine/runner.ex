@@ -1,6 +1,6 @@
 defmodule Situ.StateMachine.Runner do
   @moduledoc false
-  # The component around a state machine: hands it its events in the order of their times.
+  # The component of a state machine. It passes events to the machine in time order.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],
@@ -25,11 +25,11 @@ defmodule Situ.StateMachine.Runner do
   def handle_closed(_input, time, _context, machine) do
     {before, machine} = timeouts(machine, time + 1, [])
     {now, machine} = event(machine, {:closed, time}, time)
-    # One at the closing time may be there already, of the last message or a timeout.
+    # An output at the closing time may already exist, from the last message or a timeout.
     {before ++ Enum.map(now, fn {:out, _, data} -> {:out, time + 1, data} end), machine}
   end
 
-  # Those due before `time`: each may ask for another one.
+  # Runs the timeouts due before `time`; each may request another one.
   defp timeouts(%{due: due} = machine, time, outputs) when due != nil and due < time do
     {now, machine} = event(%{machine | due: nil}, :state_timeout, due)
     timeouts(machine, time, outputs ++ now)
@@ -43,7 +43,7 @@ defmodule Situ.StateMachine.Runner do
       {:keep_state, data, actions} -> act(%{machine | data: data}, actions, time)
       {:next_state, state, data} -> act(moved(machine, state, data), [], time)
       {:next_state, state, data, actions} -> act(moved(machine, state, data), actions, time)
-      other -> raise ArgumentError, "not an answer of a state machine: #{inspect(other)}"
+      other -> raise ArgumentError, "not a valid result of a state machine: #{inspect(other)}"
     end
   end
 

@@ -1,7 +1,7 @@
 defmodule Situ.Statistics.Sliding do
   @moduledoc """
-  A statistic of the values in a window that slides: the newest comes in, the oldest goes out, and the result is
-  there at once, however many values lie between.
+  A statistic of the values in a sliding window. The newest value is added, the oldest is removed, and the result is
+  available in constant time for any window size.
 
       iex> window = Enum.reduce([5, 1, 4], Situ.Statistics.Sliding.new(:max), &Situ.Statistics.Sliding.push(&2, 0, &1))
       iex> Situ.Statistics.Sliding.result(window)
@@ -9,12 +9,12 @@ defmodule Situ.Statistics.Sliding do
       iex> window |> Situ.Statistics.Sliding.pop() |> Situ.Statistics.Sliding.result()
       4
 
-  The window is two stacks of partial results (Tangwongsan, Hirzel, Schneider, Wu: General incremental
-  sliding-window aggregation, VLDB 2015), so nothing is ever subtracted: sums do not drift, and a `:nan` is
-  forgotten when it leaves. A value costs some three combinations of partial results, on average. Deviations are
-  combined by the formula of Chan, Golub and LeVeque (1979).
+  The window is two stacks of partial results (Tangwongsan, Hirzel, Schneider, Wu: General incremental sliding-window
+  aggregation, VLDB 2015), so nothing is ever subtracted: sums do not drift, and a `:nan` is forgotten when it leaves. A
+  value costs about three combinations of partial results, on average. Deviations are combined by the formula of Chan,
+  Golub and LeVeque (1979).
 
-  Values, and results, are as in `Situ.Statistics`.
+  Values and results are as in `Situ.Statistics`.
   """
 
   alias Situ.{Number, Statistics}
@@ -33,15 +33,15 @@ defmodule Situ.Statistics.Sliding do
           size: non_neg_integer()
         }
 
-  @doc "An empty window; of the options only `compare:` counts."
+  @doc "Builds an empty window. Only the option `compare:` has an effect."
   @spec new(Statistics.kind(), keyword()) :: t()
   def new(kind, opts \\ []), do: %__MODULE__{kind: kind, opts: Map.new(opts)}
 
-  @doc "How many values are in it."
+  @doc "Returns the number of values in the window."
   @spec size(t()) :: non_neg_integer()
   def size(%__MODULE__{size: size}), do: size
 
-  @doc "The newest value, and its time."
+  @doc "Adds the newest value with its time."
   @spec push(t(), Situ.Time.t(), term()) :: t()
   def push(%__MODULE__{} = window, time, value) do
     one = lift(window.kind, value)
@@ -49,14 +49,14 @@ defmodule Situ.Statistics.Sliding do
     %{window | back: [{time, value} | window.back], back_result: result, size: window.size + 1}
   end
 
-  @doc "Without the oldest value."
+  @doc "Removes the oldest value."
   @spec pop(t()) :: t()
   def pop(%__MODULE__{front: [_oldest | front]} = window),
     do: %{window | front: front, size: window.size - 1}
 
   def pop(%__MODULE__{back: [_ | _]} = window), do: window |> turn() |> pop()
 
-  @doc "Without the values before `time`."
+  @doc "Removes the values before `time`."
   @spec since(t(), Situ.Time.t()) :: t()
   def since(%__MODULE__{front: [{at, _} | _]} = window, time) when at < time,
     do: window |> pop() |> since(time)
@@ -66,7 +66,7 @@ defmodule Situ.Statistics.Sliding do
 
   def since(window, _time), do: window
 
-  @doc "The statistic of the values in it, of which there must be one."
+  @doc "Returns the statistic of the values in the window, which must not be empty."
   @spec result(t()) :: term()
   def result(%__MODULE__{front: [], back_result: back} = window), do: final(window, back)
 
@@ -76,7 +76,7 @@ defmodule Situ.Statistics.Sliding do
   def result(%__MODULE__{front: [{_, front} | _], back_result: back} = window),
     do: final(window, join(window, front, back))
 
-  # The back becomes the front: partial results from each value to the newest.
+  # Moves the back to the front, as partial results from each value to the newest.
   defp turn(%{back: [{time, value} | older]} = window) do
     newest = {time, lift(window.kind, value)}
     %{window | front: suffixes(older, [newest], window), back: [], back_result: :none}
@@ -115,7 +115,7 @@ defmodule Situ.Statistics.Sliding do
   defp join(%{kind: _least_or_greatest}, a, nil), do: a
   defp join(%{kind: kind, opts: opts}, a, b), do: Statistics.better(kind, a, b, opts)
 
-  # Around an infinite mean nothing has a deviation.
+  # Deviations from an infinite mean are undefined.
   defp between(apart, weight) when is_number(apart),
     do: Number.multiply(Number.multiply(apart, apart), weight)
 

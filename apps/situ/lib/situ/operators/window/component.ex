@@ -1,6 +1,6 @@
 defmodule Situ.Window.Component do
   @moduledoc false
-  # The component around the pure windows that look ahead (by index, by time) or at a stream of windows.
+  # The component of windows that look ahead (by index or time) and of windows from a stream.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],

@@ -1,11 +1,10 @@
 defmodule Situ.Window.Dynamic do
   @moduledoc """
-  The pure heart of dynamic windows: each message of a window stream names an interval of the source stream.
+  The pure core of dynamic windows: each message of a window stream selects an interval of the source stream.
 
-  `fun.(window_message)` gives `{interval, obsolete}`: an absolute `Situ.Interval`, and the time before which no
-  later window will need the source. The output, at the window message's time, is `creator.(window_message,
-  source_messages)`; it goes out when a source message at or after the interval's right end has arrived, or when the
-  source has ended.
+  `fun.(window_message)` returns `{interval, obsolete}`: an absolute `Situ.Interval`, and the time before which no later
+  window will need the source. The output, at the window message's time, is `creator.(window_message, source_messages)`.
+  It is emitted when a source message at or after the interval's right end has arrived, or when the source has ended.
 
   Errors (`Situ.Error`): `:window_negative`, `:window_not_finite`, `:window_before_obsolete`,
   `:obsolete_time_before_previous`.
@@ -18,7 +17,7 @@ defmodule Situ.Window.Dynamic do
 
   @type t :: %__MODULE__{}
 
-  @doc "Windows by `fun`, outputs by `creator`."
+  @doc "Builds a state with windows from `fun` and outputs from `creator`."
   @spec new(
           (Message.t() -> {Interval.t(), Situ.Time.t()}),
           (Message.t(), [Message.t()] -> term())
@@ -26,7 +25,7 @@ defmodule Situ.Window.Dynamic do
           t()
   def new(fun, creator), do: %__MODULE__{fun: fun, creator: creator}
 
-  @doc "Source messages arrived."
+  @doc "Adds source messages and returns the outputs they cause."
   @spec source(t(), [Message.t()]) :: {[Situ.Component.action()], t()}
   def source(core, []), do: {[], core}
 
@@ -35,11 +34,11 @@ defmodule Situ.Window.Dynamic do
     run(%{core | queue: trim(core.queue ++ messages, core.cleared), reached: reached}, [])
   end
 
-  @doc "The source ended: every window is decided by what is there."
+  @doc "Marks the source as ended. Every window is then decided using the messages that have arrived."
   @spec close_source(t()) :: {[Situ.Component.action()], t()}
   def close_source(core), do: run(%{core | reached: :closed}, [])
 
-  @doc "Window messages arrived."
+  @doc "Adds window messages and returns the outputs they cause."
   @spec window(t(), [Message.t()]) :: {[Situ.Component.action()], t()}
   def window(core, messages) do
     {windows, obsolete} =
@@ -53,7 +52,7 @@ defmodule Situ.Window.Dynamic do
   end
 
   defp run(%{windows: [{message, interval, obsolete} | rest]} = core, outputs) do
-    # :closed and nil are atoms: the first decides everything, nil (nothing has come) decides nothing.
+    # `:closed` and `nil` sort after every time. `:closed` decides all windows, `nil` (no message yet) decides none.
     if core.reached != nil and core.reached >= interval.right do
       content = Enum.filter(core.queue, &Interval.contains?(interval, &1.originating_time))
       output = {:out, message.originating_time, core.creator.(message, content)}
@@ -66,7 +65,8 @@ defmodule Situ.Window.Dynamic do
 
   defp run(core, outputs), do: {Enum.reverse(outputs), core}
 
-  # Cut by the obsolete time of the last window answered: those that still wait may need what a later one does not.
+  # The queue is trimmed by the obsolete time of the last emitted window, because waiting windows may need messages
+  # that later windows do not.
   defp trim(queue, nil), do: queue
   defp trim(queue, obsolete), do: Enum.drop_while(queue, &(&1.originating_time < obsolete))
 
@@ -86,14 +86,14 @@ defmodule Situ.Window.Dynamic do
         refuse(
           :window_before_obsolete,
           "the window #{interval} begins before #{previous}, which an earlier one declared obsolete",
-          "return an obsolete time that no later window reaches behind"
+          "return an obsolete time that is not after the beginning of any later window"
         )
 
       previous != nil and obsolete < previous ->
         refuse(
           :obsolete_time_before_previous,
-          "the obsolete time #{obsolete} lies before the previous one, #{previous}",
-          "obsolete times may not go backwards"
+          "the obsolete time #{obsolete} is before the previous one, #{previous}",
+          "return obsolete times that do not decrease"
         )
 
       true ->
@@ -102,7 +102,8 @@ defmodule Situ.Window.Dynamic do
   end
 
   defp check(other, _obsolete, _previous) do
-    raise ArgumentError, "a window is a Situ.Interval of time points, got: #{inspect(other)}"
+    raise ArgumentError,
+          "a window must be a Situ.Interval of time points, got: #{inspect(other)}"
   end
 
   defp missing(%{left: :unbounded, right: :unbounded}), do: "beginning and no end"

@@ -1,8 +1,8 @@
 defmodule Situ.Window.Index do
   @moduledoc """
-  The pure heart of windows by index: `-2..0` is this message and the two before it.
+  The pure core of windows by index: `-2..0` is this message and the two before it.
 
-  Only whole windows come out, each when the last message it needs has arrived, at the anchor's originating time.
+  Only complete windows are emitted, each when the last message it needs has arrived, at the anchor's originating time.
 
       iex> window = Situ.Window.Index.new(-1..0, &Enum.sum/1)
       iex> messages = for n <- 1..3, do: %Situ.Message{originating_time: n * 10, data: n}
@@ -13,15 +13,15 @@ defmodule Situ.Window.Index do
 
   alias Situ.Message
 
-  # The queue starts at the first message that the next window or its anchor needs. Offsets count from there.
+  # The queue starts at the first message that the next window or its anchor needs, and offsets are relative to it.
   @enforce_keys [:need, :anchor, :skip, :size, :fun, :with]
   defstruct [:need, :anchor, :skip, :size, :fun, :with, queue: [], count: 0]
 
   @type t :: %__MODULE__{}
 
   @doc """
-  A window of these relative indices; `fun` makes the output from the list of data (`with: :messages`: of messages).
-  A range whose left end lies after its right end is put in order.
+  Builds a window of these relative indices. `fun` builds the output from the list of data (`with: :messages`: of
+  messages). If the left end of the range is after its right end, the ends are swapped.
   """
   @spec new(Range.t(), (list() -> term()) | nil, keyword()) :: t()
   def new(%Range{first: from, last: to}, fun, opts \\ []) do
@@ -38,7 +38,7 @@ defmodule Situ.Window.Index do
     }
   end
 
-  @doc "Messages arrived."
+  @doc "Adds messages and returns the windows they complete."
   @spec push(t(), [Message.t()]) :: {[Situ.Component.action()], t()}
   def push(%{need: need} = window, messages) do
     count = window.count + length(messages)

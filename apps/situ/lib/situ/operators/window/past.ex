@@ -1,7 +1,7 @@
 defmodule Situ.Window.Past do
   @moduledoc false
-  # Windows that end with the message itself, as steps of a chain: the last n messages, or those of the last span.
-  # Both keep the newest first, so that taking a message in and letting old ones go is one pass.
+  # Windows that end with the message itself, as steps of a chain: the last n messages, or the messages of a time span.
+  # Both keep the newest message first, so that adding a message and dropping old ones is a single pass.
 
   alias Situ.Interval
 

@@ -1,10 +1,10 @@
 defmodule Situ.Window.Relative do
   @moduledoc """
-  The pure heart of windows by time: for every message (the anchor) all messages whose time lies in the window
-  around it.
+  The pure core of windows by time: for every message (the anchor), it collects all messages whose time is in the
+  window around it.
 
-  A window goes out, at its anchor's time, as soon as a message at or after its right end has arrived, or the stream
-  ends. Partial windows at the beginning and the end of the stream go out too; one without messages is empty.
+  A window is emitted, at its anchor's time, as soon as a message at or after its right end has arrived, or the stream
+  ends. Partial windows at the beginning and end of the stream are also emitted; a window without messages is empty.
 
       iex> window = Situ.Window.Relative.new(Situ.Interval.past(10), nil)
       iex> messages = for n <- 1..3, do: %Situ.Message{originating_time: n * 10, data: n}
@@ -15,13 +15,13 @@ defmodule Situ.Window.Relative do
 
   alias Situ.{Interval, Message}
 
-  # `queue`: messages from the first that the next anchor needs; `anchors`: those whose window is not decided.
+  # `queue`: messages from the first that the next anchor needs; `anchors`: messages whose window is undecided.
   @enforce_keys [:interval, :fun, :with]
   defstruct [:interval, :fun, :with, queue: [], anchors: []]
 
   @type t :: %__MODULE__{}
 
-  @doc "A window; `fun` makes the output from the list of data (`with: :messages`: of messages)."
+  @doc "Builds a window. `fun` builds the output from the list of data (`with: :messages`: of messages)."
   @spec new(Interval.t(), (list() -> term()) | nil, keyword()) :: t()
   def new(%Interval{} = interval, fun, opts \\ []) do
     %__MODULE__{
@@ -31,7 +31,7 @@ defmodule Situ.Window.Relative do
     }
   end
 
-  @doc "Messages arrived."
+  @doc "Adds messages and returns the windows they complete."
   @spec push(t(), [Message.t()]) :: {[Situ.Component.action()], t()}
   def push(window, []), do: {[], window}
 
@@ -41,7 +41,7 @@ defmodule Situ.Window.Relative do
     run(%{window | anchors: window.anchors ++ messages}, queue, newest)
   end
 
-  @doc "The stream ended."
+  @doc "Marks the stream as ended and returns the remaining windows."
   @spec close(t()) :: {[Situ.Component.action()], t()}
   def close(window), do: run(window, window.queue, :closed)
 
@@ -53,7 +53,7 @@ defmodule Situ.Window.Relative do
   defp slide([%{originating_time: time} | rest] = anchors, queue, newest, window, outputs) do
     %{left: left, right: right} = window.interval
 
-    # :closed, an atom, sorts after every time.
+    # `:closed` is an atom and so sorts after every time.
     if newest == :closed or (right != :unbounded and newest >= time + right) do
       queue = drop(queue, time, left, window.interval.left_inclusive)
       content = take(queue, edge(time, right), window.interval.right_inclusive, window.with)
@@ -67,7 +67,7 @@ defmodule Situ.Window.Relative do
   defp slide([], queue, _newest, window, outputs),
     do: {:lists.reverse(outputs), [], trim(queue, window.interval)}
 
-  # Without an anchor left, what a later one (after the last message) cannot reach is dropped now.
+  # If no anchors are left, drops messages that no later anchor can need.
   defp trim([], _interval), do: []
 
   defp trim(queue, %{left: left, left_inclusive: inclusive}) do

@@ -1,21 +1,20 @@
 defmodule Situ.Pipeline.Dynamic.Extension do
   @moduledoc false
-  # Components that are added to a running pipeline, and removed from it. The caller builds on a copy of the graph
-  # with a range of ids of its own; the server merges the new components, plans them like any graph, and the life
-  # cycle starts them.
+  # Adds components to a running pipeline and removes them. The caller builds on a copy of the graph with its own range
+  # of ids. The server merges the new components and plans them like any graph, and the life cycle starts them.
   alias Situ.{Error, Graph}
   alias Situ.Graph.{Extension, Plan}
   alias Situ.Pipeline.{Stages, State}
 
-  # One extension reserves so many ids: they need to be unique, not dense.
+  # Each extension reserves this many ids; they need to be unique, not dense.
   @numbers 1_000_000
 
-  @doc "A copy of the graph to build on."
+  @doc "Returns a copy of the graph to build on, and reserves ids for it."
   @spec offer(State.t()) :: {Graph.t(), State.t()}
   def offer(%{graph: graph} = state),
     do: {graph, %{state | graph: Extension.advance(graph, @numbers)}}
 
-  @doc "The new components as a plan for the life cycle; `{:error, error}` if they do not fit the running graph."
+  @doc "Returns the new components as a plan for the life cycle, or an error if they do not fit the running graph."
   @spec take(State.t(), Graph.t()) :: {:ok, State.t(), map()} | {:error, Error.t()}
   def take(state, added) do
     with {:ok, graph, fresh} <- Extension.merge(state.graph, added),
@@ -28,7 +27,7 @@ defmodule Situ.Pipeline.Dynamic.Extension do
     end
   end
 
-  # Edges from streams of the running graph, each with the stage that has the output.
+  # Returns the edges from streams of the running graph, each with the stage that owns the output.
   defp lent(state, plan) do
     new = for stage <- plan.stages, vertex <- stage.vertices, into: MapSet.new(), do: vertex.id
 
@@ -43,7 +42,7 @@ defmodule Situ.Pipeline.Dynamic.Extension do
     end)
   end
 
-  @doc "The producer takes a new stage in, without demand: from here on nothing is lost to it."
+  @doc "Asks the producer to add a new stage without demand; the stage misses no message from then on."
   @spec lend(State.t(), term()) :: State.t()
   def lend(state, tag) do
     link = state.wires.links[tag]
@@ -53,7 +52,7 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   end
 
   @doc """
-  Takes removed stages out of the graph. The life cycle drops each of them after its process has ended.
+  Removes stages from the graph. The life cycle drops each of them after its process has ended.
   """
   @spec forget(State.t(), [pos_integer()]) :: State.t()
   def forget(state, ids) do
@@ -67,7 +66,7 @@ defmodule Situ.Pipeline.Dynamic.Extension do
     %{state | graph: Extension.without(state.graph, gone)}
   end
 
-  @doc "Whether a stage was removed and its process has ended."
+  @doc "Returns whether a stage was removed and its process has ended."
   @spec forgotten?(State.t(), pos_integer()) :: boolean()
   def forgotten?(state, id) do
     case state.stages do

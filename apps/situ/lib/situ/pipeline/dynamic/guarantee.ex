@@ -1,11 +1,11 @@
 defmodule Situ.Pipeline.Dynamic.Guarantee do
   @moduledoc false
-  # The functions with which delivery policies protect messages (`guarantee:`), exchanged for those of a new version
-  # of the pipeline's module: at both ends of each edge, and in what a restart begins with.
+  # When the pipeline's module has a new version, replaces the functions with which delivery policies protect messages
+  # (`guarantee:`), at both ends of each edge and in the values that a restart begins with.
   alias Situ.Graph
   alias Situ.Pipeline.{Stages, State}
 
-  @doc "The guarantees of `graph`, another version of the same pipeline, take the places of the old ones."
+  @doc "Replaces the current guarantees with the guarantees of `graph`, another version of the same pipeline."
   @spec reload(State.t(), Graph.t()) :: State.t()
   def reload(state, graph) do
     fresh =

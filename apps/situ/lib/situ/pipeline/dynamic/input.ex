@@ -1,11 +1,11 @@
 defmodule Situ.Pipeline.Dynamic.Input do
   @moduledoc false
-  # Inputs that are added to a running component, and taken away. Three steps, so that it is exact which messages come:
+  # Adds inputs to a running component and removes them. Three steps define exactly which messages the input receives:
   #
-  #   the source's stage takes a subscriber in, without demand, and tells the last time that it will not see ({:lend,
-  #   ...});
-  #   the component takes the input, or does not, and asks for the first messages ({:attach, ...});
-  #   the caller gets its answer, and the graph has the connection.
+  #   1. The source's stage adds a subscriber without demand, and reports the last time that the subscriber will not
+  #      see (`{:lend, ...}`).
+  #   2. The component accepts or rejects the input, and asks for the first messages (`{:attach, ...}`).
+  #   3. The caller receives its reply, and the graph has the connection.
   alias Situ.{Delivery, Error}
   alias Situ.Graph.Edge
   alias Situ.Lifecycle.Errors
@@ -14,7 +14,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
 
   @type events :: [Situ.Lifecycle.event()]
 
-  @doc "An input of the component behind the stream `taker`, connected to the stream `stream`."
+  @doc "Adds an input, connected to the stream `stream`, to the component that emits the stream `taker`."
   @spec attach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
   def attach(state, asked, from) do
     with {:ok, {id, _}} <- State.port(state, asked.taker),
@@ -28,7 +28,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
     end
   end
 
-  @doc "An added input is to go."
+  @doc "Removes an added input."
   @spec detach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
   def detach(state, asked, from) do
     with {:ok, {id, _}} <- State.port(state, asked.taker), {:ok, stage} <- taker(state, id) do
@@ -45,7 +45,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
     {state, []}
   end
 
-  @doc "The source has taken the subscriber in: now the component is asked."
+  @doc "Handles a source that has added the subscriber: asks the component to accept the input."
   @spec lent(State.t(), term(), term()) :: {State.t(), events()}
   def lent(%{life: %{phase: :running}, dynamic: %{inputs: inputs}} = state, tag, how)
       when is_map_key(inputs, tag) do
@@ -68,7 +68,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
 
   def lent(state, tag, _how), do: refused(state, tag, Errors.not_running())
 
-  @doc "The component has answered."
+  @doc "Handles the component's reply."
   @spec answered(State.t(), term(), pos_integer(), term(), keyword()) :: {State.t(), events()}
   def answered(state, ref, id, {:ok, reply}, opts) do
     {asked, inputs} = Map.pop(state.dynamic.inputs, ref)
@@ -80,7 +80,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
 
   def answered(state, ref, _id, {:error, error}, _opts), do: refused(state, ref, error)
 
-  @doc "The component has let an input go."
+  @doc "Handles a component that has detached an input."
   @spec detached(State.t(), pos_integer(), atom(), keyword()) :: {State.t(), events()}
   def detached(state, id, input, opts) do
     state = change(state, id, &%{&1 | opts: opts, inputs: Keyword.delete(&1.inputs, input)})
@@ -91,7 +91,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
     end
   end
 
-  @doc "A stage that owes an answer is gone: it has forgotten the question."
+  @doc "Fails the requests that wait for a stage whose process has ended."
   @spec interrupted(State.t(), pos_integer()) :: {State.t(), events()}
   def interrupted(state, id) do
     error = Errors.interrupted(hd(state.stages[id].vertices).path)
@@ -128,7 +128,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
 
   defp wire(state, change), do: %{state | wires: change.(state.wires)}
 
-  # The smallest free name: as many atoms as there ever are inputs at once.
+  # The smallest free name is used, so that there are only as many atoms as inputs at the same time.
   defp free(state, id, name) do
     asked = for {_, %{link: %{to: ^id, input: input}}} <- state.dynamic.inputs, do: input
     taken = asked ++ Keyword.keys(state.graph.vertices[id].inputs)
@@ -147,7 +147,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
     end
   end
 
-  # A stream that comes from the component itself would wait for it.
+  # A component that depends on its own output would wait for itself.
   defp upstream(graph, id, origin) do
     next = Enum.group_by(graph.edges, fn {_, e} -> elem(e.from, 0) end, &elem(elem(&1, 1).to, 0))
 
@@ -169,7 +169,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
   defp added(vertex, link),
     do: vertex.inputs ++ [{link.input, %{type: :any, optional: true}}]
 
-  # Changes the first vertex of a stage: what a restart begins with, and the graph, unless it was removed from that.
+  # Changes the first vertex of a stage, which a restart begins with, and also in the graph unless it was removed there.
   defp change(state, id, fun) do
     stage = Map.fetch!(state.stages, id)
     [head | rest] = stage.vertices
@@ -202,17 +202,17 @@ defmodule Situ.Pipeline.Dynamic.Input do
     do: %{state | graph: %{state.graph | edges: Map.delete(state.graph.edges, tag)}}
 
   defp fixed(vertex) do
-    Error.new(:fixed_inputs, "#{vertex.path} takes no inputs while it runs",
+    Error.new(:fixed_inputs, "#{vertex.path} does not accept new inputs while it is running",
       why: "its inputs are fixed when the pipeline starts",
-      fix: "build it over a map of streams (Situ.join/4), or with Situ.merge/3",
+      fix: "build it on a map of streams (Situ.join/4), or with Situ.merge/3",
       meta: %{component: vertex.path}
     )
   end
 
   defp cycle(vertex) do
-    Error.new(:circle, "#{vertex.path} depends on the operator that would take its stream",
+    Error.new(:circle, "#{vertex.path} depends on the operator that would receive its stream",
       why: "each would wait for the other",
-      fix: "take a stream in front of the operator",
+      fix: "use a stream upstream of the operator",
       meta: %{component: vertex.path}
     )
   end

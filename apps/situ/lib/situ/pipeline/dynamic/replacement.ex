@@ -1,14 +1,14 @@
 defmodule Situ.Pipeline.Dynamic.Replacement do
   @moduledoc false
-  # Another module, or other options, for a running component. One replacement at a time for each stage, in the order
-  # of the requests; a waiting request is checked against the component as it is when its turn comes.
+  # Replaces the module or the options of a running component. Each stage handles one replacement at a time, in the
+  # order of the requests. A waiting request is checked against the component at the time when it begins.
   alias Situ.{Error, Type}
   alias Situ.Component.Functions
   alias Situ.Graph.{Edge, Vertex}
   alias Situ.Lifecycle.Errors
   alias Situ.Pipeline.State
 
-  @doc "Asks the stage, or queues the request; the caller gets its answer when the replacement is done or has failed."
+  @doc "Asks the stage or queues the request; the caller receives its reply when the replacement succeeds or fails."
   @spec ask(State.t(), map(), GenServer.from()) :: State.t()
   def ask(state, %{node: node, change: change, timeout: timeout}, from) do
     with {:ok, vertex} <- State.vertex(state, node),
@@ -24,8 +24,8 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
   end
 
   @doc """
-  The operators of `graph`, another version of the same pipeline, take the places of those with the same names, and the
-  functions in the options of its components those in the same places.
+  Replaces each operator with the operator of the same name in `graph`, another version of the same pipeline, and the
+  functions in component options with the functions at the same positions.
   """
   @spec reload(State.t(), Situ.Graph.t()) :: State.t()
   def reload(state, graph) do
@@ -76,7 +76,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
     end
   end
 
-  @doc "The stage has answered."
+  @doc "Handles the stage's reply."
   @spec answered(State.t(), pos_integer(), reference(), :ok | {:error, Error.t()}) :: State.t()
   def answered(state, id, ref, answer) do
     case state.dynamic.replaces do
@@ -90,7 +90,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
     end
   end
 
-  @doc "The caller has waited long enough; the replacement goes its way."
+  @doc "Replies to the caller with a timeout error; the replacement itself continues."
   @spec late(State.t(), reference(), timeout()) :: State.t()
   def late(state, ref, timeout) do
     error = {:error, Errors.timeout(:replace, timeout)}
@@ -111,7 +111,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
 
   defp told(request, _ref, _error), do: request
 
-  @doc "The stage has ended: callers that wait for its answer get an error."
+  @doc "Fails the requests of callers that wait for a stage whose process has ended."
   @spec interrupted(State.t(), pos_integer()) :: State.t()
   def interrupted(state, id) do
     case state.dynamic.replaces do
@@ -140,7 +140,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
       | dynamic: %{state.dynamic | replaces: Map.put(state.dynamic.replaces, id, entry)}
     }
 
-  # The component and options with which a restart begins from now on.
+  # A restart begins with this component and these options from now on.
   defp replaced(state, id, %{index: index, module: module, opts: opts}) do
     stage = Map.fetch!(state.stages, id)
     vertices = List.update_at(stage.vertices, index, &%{&1 | module: module, opts: opts})
@@ -151,7 +151,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
 
   # The new component
 
-  # Another version of the same function, with the state that there is.
+  # A new version of the same function keeps the operator's current state.
   defp target(%Vertex{module: :operator} = vertex, {:keep, step}) do
     with {:ok, :operator, step} <- target(vertex, step), do: {:ok, :operator, {:keep, step}}
   end
@@ -190,7 +190,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
     Error.new(
       :bad_replacement,
       "#{vertex.path} is an operator of kind #{inspect(elem(vertex.opts, 0))}",
-      fix: "replace it by a step of the same kind, as in Situ.Operator"
+      fix: "replace it with a step of the same kind; see Situ.Operator"
     )
   end
 
@@ -230,7 +230,8 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
 
   defp misfit(vertex, port, wanted, given) do
     Error.new(:type_mismatch, "#{vertex.path} cannot be replaced: #{port} does not fit",
-      why: "it is connected: #{describe(given)} flows where #{describe(wanted)} is declared",
+      why:
+        "the port is connected: #{describe(given)} flows where #{describe(wanted)} is declared",
       meta: %{component: vertex.path}
     )
   end

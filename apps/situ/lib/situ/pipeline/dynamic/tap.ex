@@ -1,6 +1,6 @@
 defmodule Situ.Pipeline.Dynamic.Tap do
   @moduledoc false
-  # Taps of a running pipeline: a component in a stage of its own for each, subscribed to an output or, inside a
+  # Taps of a running pipeline. Each tap is a component in a separate stage that subscribes to an output or, inside a
   # chain, to a probe.
   alias Situ.{Delivery, Error}
   alias Situ.Graph.{Edge, Vertex}
@@ -10,7 +10,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
 
   @type events :: [Situ.Lifecycle.event()]
 
-  @doc "Attaches; the caller gets its answer when the first message can come, or at once when it cannot be."
+  @doc "Attaches a tap; the caller receives its reply when messages can arrive, or immediately after an error."
   @spec attach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
   def attach(state, %{stream: which, component: component, opts: opts}, from) do
     with {:ok, {id, output}} <- State.port(state, which),
@@ -23,7 +23,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
     end
   end
 
-  @doc "The source has taken the tap in."
+  @doc "Confirms a tap that its source has added as a subscriber."
   @spec opened(State.t(), term()) :: State.t()
   def opened(state, tag) do
     case Enum.find(state.dynamic.taps, fn {_, tap} -> tap.tag == tag and tap.from != nil end) do
@@ -36,7 +36,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
     end
   end
 
-  @doc "Detaches; a tap that is gone is no error."
+  @doc "Detaches a tap; does nothing if the tap no longer exists."
   @spec detach(State.t(), pos_integer()) :: {State.t(), events()}
   def detach(state, id) do
     case state.dynamic.taps do
@@ -52,7 +52,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
     end
   end
 
-  @doc "The process that attached a tap is gone."
+  @doc "Detaches the tap whose owner process has ended."
   @spec owner_down(State.t(), reference()) :: {State.t(), events()}
   def owner_down(state, monitor) do
     case Enum.find(state.dynamic.taps, fn {_, tap} -> tap.monitor == monitor end) do
@@ -61,7 +61,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
     end
   end
 
-  @doc "A stage has ended: callers that wait for a tap on it get an error."
+  @doc "Fails the requests of callers that wait for a tap on a stage whose process has ended."
   @spec interrupted(State.t(), pos_integer()) :: {State.t(), events()}
   def interrupted(state, id) do
     Enum.reduce(state.dynamic.taps, {state, []}, fn {tap_id, tap}, {state, events} ->
@@ -76,7 +76,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
     end)
   end
 
-  @doc "The outlet another process may subscribe to: `{pid, [output: name]}`."
+  @doc "Returns the output that another process may subscribe to, as `{pid, [output: name]}`."
   @spec subscription(State.t(), term()) :: {:ok, {pid(), keyword()}} | {:error, Error.t()}
   def subscription(state, which) do
     with {:ok, {id, output}} <- State.port(state, which),
@@ -137,7 +137,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
     {state, [{:joined, Stages.member(stage, tap?: true)}, {:linked, tag, link}]}
   end
 
-  @doc "The tap's stage is up and wired: let its messages come."
+  @doc "Connects a tap whose stage is started, so that it receives messages."
   @spec open(State.t(), pos_integer()) :: State.t()
   def open(state, id) do
     tap = Map.fetch!(state.dynamic.taps, id)
@@ -161,7 +161,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   defp put(state, id, tap),
     do: %{state | dynamic: update_taps(state.dynamic, &Map.put(&1, id, tap))}
 
-  # This frees its name. Everything else that belongs to its stage stays until the life cycle drops the stage.
+  # Frees the tap's name. Everything else that belongs to its stage stays until the life cycle drops the stage.
   defp forget(state, id, tap) do
     {vertex, vertices} = Map.pop(state.graph.vertices, id)
 
@@ -175,7 +175,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
     %{state | graph: graph, dynamic: update_taps(state.dynamic, &Map.delete(&1, id))}
   end
 
-  @doc "Deletes the tap of a stage that is being dropped, if it is the stage of a tap."
+  @doc "Deletes the tap of a stage that is being dropped, if the stage belongs to a tap."
   @spec drop(State.t(), pos_integer()) :: State.t()
   def drop(%{dynamic: %{taps: taps} = dynamic} = state, id) do
     with %{^id => %{monitor: monitor}} <- taps, do: Process.demonitor(monitor, [:flush])

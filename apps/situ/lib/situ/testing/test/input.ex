@@ -1,6 +1,6 @@
 defmodule Situ.Test.Input do
   @moduledoc false
-  # A push source that emits what the test feeds it.
+  # A push source that emits the messages that the test feeds it.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],

@@ -1,6 +1,6 @@
 defmodule Situ.Test.Rest do
   @moduledoc false
-  # Waits until nothing is under way in a pipeline that runs by a manual clock, without sleeping.
+  # Waits, without sleeping, until a pipeline with a manual clock is idle.
   alias Situ.Clock
   alias Situ.Parallel.Processes
   alias Situ.Stage.State
@@ -8,7 +8,7 @@ defmodule Situ.Test.Rest do
   @spec reach(pid(), Clock.t()) :: :ok
   def reach(pipeline, clock), do: reach(pipeline, clock, nil)
 
-  # A round asks every process once. When it has changed nothing, and no alarm is due, nothing is under way.
+  # Each round asks every process once. If it changed nothing and no alarm is due, the pipeline is idle.
   defp reach(pipeline, clock, before) do
     case Process.info(pipeline, :links) do
       nil ->
@@ -20,7 +20,7 @@ defmodule Situ.Test.Rest do
     end
   end
 
-  # The pipeline's process and its stages, and of branches in processes theirs.
+  # Probes the pipeline's process and its stages, and the same for pipelines of branches that run in processes.
   defp round(pipeline, now) do
     case Process.info(pipeline, :links) do
       {:links, links} ->
@@ -32,7 +32,7 @@ defmodule Situ.Test.Rest do
     end
   end
 
-  # Asking comes after all that was sent before, and is answered after it was dealt with.
+  # The request is queued after all earlier messages, so the reply means that those have been handled.
   defp look(pid, now) do
     case :sys.get_state(pid) do
       %State{timers: %{alarm: {due, _wait, _timer}}} when due <= now ->
