@@ -13,8 +13,8 @@ defmodule Situ.Store do
   }
 
   @moduledoc """
-  Recordings: many streams in one store on disk, written while a pipeline runs, read by time, by index, live, or
-  replayed.
+  Recordings store many streams on disk while a pipeline is running. They can be read by time, by index or live, and
+  replayed into a pipeline.
 
       {:ok, store} = Situ.Store.open("recordings/lobby")        # the newest lobby.NNNN
       Situ.Store.streams(store)                                 # names, types, counts, times, sizes, latency
@@ -37,13 +37,13 @@ defmodule Situ.Store do
       iex> Situ.Store.delete(store.path)
       :ok
 
-  A foreign file (WAV, CSV, MP4 and other media, and everything a `Situ.Store.Reader` is known for) opens in the same
-  way. Without a pipeline: `Situ.Store.Writer`. For timelines: `Situ.Store.Summary`. The bytes:
-  `priv/schema/store.md`.
+  An external file (WAV, CSV, MP4 and other media, and every format with a `Situ.Store.Reader`) opens in the same way.
+  Use `Situ.Store.Writer` to write without a pipeline, and `Situ.Store.Summary` to draw timelines. The file format is
+  described in `priv/schema/store.md`.
 
-  Reading trusts nothing: checksums are verified, no atoms or functions come out of a file, memory is bounded. Data of
-  a struct that this system does not have is a map with the key `"__struct__"`; bytes of an unknown codec are a
-  `Situ.Store.Undecoded`.
+  Reading treats files as untrusted: it verifies checksums, creates no atoms or functions from a file, and bounds its
+  memory use. Data of a struct that this system does not have becomes a map with the key `"__struct__"`. Bytes of an
+  unknown codec become a `Situ.Store.Undecoded`.
   """
   alias Situ.{Error, Message, Options}
   alias Situ.Store.{Handle, StreamInfo}
@@ -54,29 +54,29 @@ defmodule Situ.Store do
   # Opening
 
   @doc """
-  Opens a store's folder, the newest version of `root/name`, or a foreign file.
+  Opens a store's folder, the newest version of `root/name`, or an external file.
 
   #{Options.docs(Reading.open_options())}
   """
   @spec open(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   defdelegate open(path, opts \\ []), to: Reading
 
-  @doc "As `open/2`, but raises the error."
+  @doc "Works like `open/2`, but raises the error."
   @spec open!(Path.t(), keyword()) :: t()
   defdelegate open!(path, opts \\ []), to: Reading
 
   # In pipelines
 
   @doc """
-  During `build`: a new store that the pipeline records to. `path` is the folder it goes to (`path/name.NNNN`), or
-  `nil` for a store in memory. Raises the `Situ.Error` when it cannot be made.
+  Creates a store that the pipeline records to. Call it during `build`. `path` is the parent folder (the store becomes
+  `path/name.NNNN`), or `nil` for a store in memory. Raises the `Situ.Error` if the store cannot be created.
 
-  A recording without end is made in pieces, of which the latest are kept:
+  An endless recording can be split into segments, of which only the latest are kept:
 
       Situ.Store.create(p, "hall", "recordings", split: Situ.Time.minutes(10), keep: {:span, Situ.Time.hours(2)})
 
-  `split: {:bytes, n}` cuts by size. Every piece is a whole store (`hall.0000`, `hall.0001` ...);
-  `Situ.Store.concat/3` makes one of several.
+  `split: {:bytes, n}` splits by size. Every segment is a complete store (`hall.0000`, `hall.0001` ...), and
+  `Situ.Store.concat/3` joins several into one.
 
   #{Options.docs(Exporter.create_options())}
   """
@@ -84,8 +84,8 @@ defmodule Situ.Store do
   defdelegate create(p, name, path, opts \\ []), to: Exporter
 
   @doc """
-  Records a stream under `name`; returns the stream. No stream (`nil`) is not recorded and stays `nil`, and without a
-  store (`nil`) nothing is recorded: an application's optional streams and optional recording need no `if`.
+  Records a stream under `name` and returns the stream. If the stream or the store is `nil`, nothing is recorded and the
+  stream is returned unchanged, so optional streams and optional recording need no `if`.
 
   #{Options.docs(Exporter.write_options())}
   """
@@ -94,7 +94,7 @@ defmodule Situ.Store do
   defdelegate write(stream, exporter, name, opts \\ []), to: Exporter
 
   @doc """
-  During `build`: a store (its path, or what `open/2` gave) that the pipeline replays.
+  Opens a store (a path, or a store from `open/2`) for the pipeline to replay. Call it during `build`.
 
   #{Options.docs(Importer.options())}
   """
@@ -102,8 +102,8 @@ defmodule Situ.Store do
   def importer(p, path, opts \\ []), do: Importer.open(p, path, opts)
 
   @doc """
-  A recorded stream as a stream of the pipeline. Its span is proposed as the pipeline's replay interval (not while it
-  is being written).
+  Returns a recorded stream as a stream of the pipeline. Unless the store is still being written, the stream's time span
+  is proposed as the pipeline's replay interval.
 
   #{Options.docs(Importer.stream_options())}
   """
@@ -112,57 +112,57 @@ defmodule Situ.Store do
 
   # The store
 
-  @doc "`name`, `created`, `closed?`, `live?`, `damage` and more of the store."
+  @doc "Returns `name`, `created`, `closed?`, `live?`, `damage` and more facts about the store."
   @spec info(t()) :: map()
   defdelegate info(store), to: Reading
 
-  @doc "Whether every stream of the store was closed and the writer finished."
+  @doc "Returns whether every stream of the store was closed and the writer finished."
   @spec closed?(t()) :: boolean()
   defdelegate closed?(store), to: Reading
 
-  @doc "Whether a writer in some process holds the store now."
+  @doc "Returns whether a writer in any process holds the store now."
   @spec live?(t()) :: boolean()
   defdelegate live?(store), to: Reading
 
-  @doc "The streams there are now, with their statistics."
+  @doc "Returns the current streams with their statistics."
   @spec streams(t()) :: [StreamInfo.t()]
   defdelegate streams(store), to: Reading
 
-  @doc "One stream, with its statistics."
+  @doc "Returns one stream with its statistics."
   @spec stream_info(t(), name()) :: {:ok, StreamInfo.t()} | {:error, Error.t()}
   defdelegate stream_info(store, name), to: Reading
 
-  @doc "Whether the store has such a stream."
+  @doc "Returns whether the store has a stream of this name."
   @spec has_stream?(t(), String.t()) :: boolean()
   defdelegate has_stream?(store, name), to: Reading
 
   @doc """
-  The stream's supplemental metadata; an error when it has none. Atoms and structs that this system does not have are
-  strings and maps, as in messages.
+  Returns the stream's supplemental metadata, or an error if it has none. As in messages, atoms and structs that this
+  system does not have become strings and maps.
   """
   @spec metadata(t(), name()) :: {:ok, term()} | {:error, Error.t()}
   defdelegate metadata(store, name), to: Reading
 
-  @doc "As `metadata/2`, checked against a `Situ.Type`."
+  @doc "Works like `metadata/2`, and checks the metadata against a `Situ.Type`."
   @spec metadata(t(), name(), Situ.Type.t()) :: {:ok, term()} | {:error, Error.t()}
   defdelegate metadata(store, name, type), to: Reading
 
-  @doc "The originating times all streams span, `{first, last}`, or `nil` when there is no message."
+  @doc "Returns the span of originating times of all streams, `{first, last}`, or `nil` if there are no messages."
   @spec interval(t() | [StreamInfo.t()]) :: {Situ.Time.t(), Situ.Time.t()} | nil
   defdelegate interval(store), to: Reading
 
-  @doc "The creation times all streams span, or `nil`."
+  @doc "Returns the span of creation times of all streams, or `nil`."
   @spec creation_interval(t()) :: {Situ.Time.t(), Situ.Time.t()} | nil
   defdelegate creation_interval(store), to: Reading
 
-  @doc "Files of the store that its index names and that are not there (any more): their messages cannot be read."
+  @doc "Returns the files that the store's index names but that no longer exist. Their messages cannot be read."
   @spec missing_files(t()) :: [String.t()]
   defdelegate missing_files(store), to: Reading
 
   # Messages
 
   @doc """
-  The messages of a stream as an `Enumerable`, read in batches as they are taken.
+  Returns the messages of a stream as an `Enumerable` that reads in batches on demand.
 
   #{Options.docs(Reading.message_options())}
   """
@@ -170,8 +170,8 @@ defmodule Situ.Store do
   defdelegate messages(store, name, opts \\ []), to: Reading
 
   @doc """
-  The messages of a stream as an `Enumerable` of parts in order: a `Situ.Store.Columns` where messages are plain numbers
-  (many thousand at once), else a list of messages.
+  Returns the messages of a stream as an `Enumerable` of parts in order. A part with plain numbers is a
+  `Situ.Store.Columns` of many thousand messages; any other part is a list of messages.
 
   #{Options.docs(Columns.Reading.options())}
   """
@@ -179,7 +179,7 @@ defmodule Situ.Store do
   defdelegate columns(store, name, opts \\ []), to: Columns.Reading
 
   @doc """
-  Up to `limit` messages from a time on: `{:ok, messages}`.
+  Reads up to `limit` messages, starting at a time: `{:ok, messages}`.
 
   #{Options.docs(Reading.read_options())}
   """
@@ -187,49 +187,49 @@ defmodule Situ.Store do
   defdelegate read(store, name, opts \\ []), to: Reading
 
   @doc """
-  The message with this ordinal (0 is the first, -1 the last): `{:ok, message}` or `{:ok, nil}`.
+  Returns the message with this ordinal (0 is the first, -1 the last): `{:ok, message}` or `{:ok, nil}`.
 
   #{Options.docs(Reading.at_options())}
   """
   @spec at(t(), name(), integer(), keyword()) :: {:ok, Message.t() | nil} | {:error, Error.t()}
   defdelegate at(store, name, index, opts \\ []), to: Reading
 
-  @doc "The number of messages in a stream now."
+  @doc "Returns the current number of messages in a stream."
   @spec count(t(), name()) :: non_neg_integer()
   defdelegate count(store, name), to: Reading
 
-  @doc "The number of messages whose originating time lies in `from..to`, both ends included; their data are not read."
+  @doc "Counts the messages with an originating time in `from..to` (both ends included), without reading their data."
   @spec count(t(), name(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   defdelegate count(store, name, from, to), to: Reading
 
-  @doc "The ordinal of the first message at or after `time`; the count when there is none."
+  @doc "Returns the ordinal of the first message at or after `time`, or the message count if there is none."
   @spec ordinal(t(), name(), Situ.Time.t()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   defdelegate ordinal(store, name, time), to: Reading
 
-  @doc "The last message at or before `time`: `{:ok, message}` or `{:ok, nil}`."
+  @doc "Returns the last message at or before `time`: `{:ok, message}` or `{:ok, nil}`."
   @spec latest_at(t(), name(), Situ.Time.t()) :: {:ok, Message.t() | nil} | {:error, Error.t()}
   defdelegate latest_at(store, name, time), to: Reading
 
-  @doc "The first message at or after `time`: `{:ok, message}` or `{:ok, nil}`."
+  @doc "Returns the first message at or after `time`: `{:ok, message}` or `{:ok, nil}`."
   @spec first_at(t(), name(), Situ.Time.t()) :: {:ok, Message.t() | nil} | {:error, Error.t()}
   defdelegate first_at(store, name, time), to: Reading
 
   @doc """
-  The signal of a numeric or audio stream over `from..to`, folded for `pixels` columns: `{:ok, width, bins}`; see
+  Summarizes the signal of a numeric or audio stream over `from..to` for `pixels` columns: `{:ok, width, bins}`. See
   `Situ.Store.Summary`.
   """
   @spec summary(t(), name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, width :: pos_integer(), [Summary.bin()]} | {:error, Error.t()}
   defdelegate summary(store, name, from, to, pixels), to: Summary, as: :numbers
 
-  @doc "Spans of at least `least` ns without a message, as far as the index tells (between chunks)."
+  @doc "Returns spans of at least `least` ns without a message. Only gaps between chunks are found, from the index."
   @spec gaps(t(), name(), Situ.Time.duration()) :: [{Situ.Time.t(), Situ.Time.t()}]
   defdelegate gaps(store, name, least), to: Reading
 
   @doc """
-  Asks to be told once of the next commit: `{:situ_store, tag, {:published, n}}`, or `{:ended, n}` when the writer
-  closed or died. `known` is the `n` of the last news (0 at first). Works across operating system processes, without
+  Requests one message at the next commit: `{:situ_store, tag, {:published, n}}`, or `{:ended, n}` if the writer closed
+  or died. `known` is the `n` of the previous message (0 at first). It works across operating system processes without
   polling.
   """
   @spec notify(t(), known :: non_neg_integer(), tag :: non_neg_integer()) :: :ok
@@ -238,8 +238,8 @@ defmodule Situ.Store do
   # Folders
 
   @doc """
-  Whether `path` is a store (or the name of one with versions), a foreign recording that is a folder, or an address
-  (which is not asked).
+  Returns whether `path` is a store (or the name of a store with versions), an external recording that is a folder, or
+  an address. An address is not contacted.
   """
   @spec exists?(Path.t()) :: boolean()
   def exists?(path) do
@@ -249,16 +249,16 @@ defmodule Situ.Store do
       Formats.for_folder(here) != nil
   end
 
-  @doc "The folder of the newest version of store `name` below `root`."
+  @doc "Returns the folder of the newest version of store `name` in `root`, or `nil`."
   @spec newest(String.t(), Path.t()) :: Path.t() | nil
   def newest(name, root), do: Folder.newest(name, Path.expand(root))
 
   @list_options [
-    recursive: [type: :boolean, default: false, doc: "Look into the folders below, too."]
+    recursive: [type: :boolean, default: false, doc: "Search subfolders, too."]
   ]
 
   @doc """
-  All stores in a folder.
+  Lists all stores in a folder.
 
   #{Options.docs(@list_options)}
   """

@@ -1,6 +1,6 @@
 defmodule Situ.Store.AtomicFile do
   @moduledoc """
-  Writes files and changes names so that a power cut leaves either the old state or the new one.
+  Writes and renames files so that a power failure leaves either the old state or the new one.
 
       iex> path = Path.join(System.tmp_dir!(), "situ-doc-atomic-#{System.pid()}")
       iex> Situ.Store.AtomicFile.write(path, ["all", " of it"])
@@ -10,8 +10,8 @@ defmodule Situ.Store.AtomicFile do
   """
 
   @doc """
-  Replaces the file `path` by one with this content, which is then complete and on the disk. On an error `path` is
-  unchanged.
+  Replaces the content of the file `path`. When it returns, the new content is complete and on disk. If it fails, `path`
+  is unchanged.
   """
   @spec write(Path.t(), iodata()) :: :ok | {:error, File.posix()}
   def write(path, content) do
@@ -35,7 +35,7 @@ defmodule Situ.Store.AtomicFile do
     :file.close(device)
   end
 
-  @doc "Renames a file or folder and brings the new name to the disk. The content must be on the disk already."
+  @doc "Renames a file or folder and syncs the new name to disk. The content must already be on disk."
   @spec rename(Path.t(), Path.t()) :: :ok | {:error, File.posix()}
   def rename(from, to) do
     with :ok <- File.rename(from, to) do
@@ -45,7 +45,7 @@ defmodule Situ.Store.AtomicFile do
   end
 
   @doc """
-  Makes a folder and its missing parents, like `File.mkdir_p/1`, and brings their names to the disk.
+  Creates a folder and its missing parents, like `File.mkdir_p/1`, and syncs their names to disk.
   """
   @spec make_folder(Path.t()) :: :ok | {:error, File.posix()}
   def make_folder(path) do
@@ -57,7 +57,7 @@ defmodule Situ.Store.AtomicFile do
     end
   end
 
-  @doc "Brings the files in a folder to the disk, then their names. Returns the first error."
+  @doc "Syncs the files in a folder to disk, then their names. Returns the first error."
   @spec sync_files(Path.t()) :: :ok | {:error, File.posix()}
   def sync_files(folder) do
     with {:ok, names} <- File.ls(folder),
@@ -68,7 +68,7 @@ defmodule Situ.Store.AtomicFile do
   defp sync_all([]), do: :ok
   defp sync_all([path | paths]), do: with(:ok <- sync(path), do: sync_all(paths))
 
-  @doc "Brings a file to the disk."
+  @doc "Syncs a file to disk."
   @spec sync(Path.t()) :: :ok | {:error, File.posix()}
   def sync(path) do
     with {:ok, device} <- :file.open(path, [:read, :raw, :binary]) do
@@ -79,7 +79,7 @@ defmodule Situ.Store.AtomicFile do
   end
 
   @doc """
-  Brings the names in a folder to the disk. Some network file systems cannot do that, so errors are ignored.
+  Syncs the names in a folder to disk. Errors are ignored because some network file systems do not support it.
   """
   @spec sync_folder(Path.t()) :: :ok
   def sync_folder(path) do

@@ -1,11 +1,11 @@
 defmodule Situ.Store.Catalog do
   @moduledoc false
-  # Stream 0 of a store: JSON records about the others. Unknown kinds and keys are ignored.
+  # Stream 0 of a store: JSON records about the other streams. Unknown kinds and keys are ignored.
   alias Situ.Store.{StreamInfo, TypeName}
 
   defstruct name: nil, volatile?: false, writer: nil, piece: nil, streams: %{}, types: %{}
 
-  # Numbers of streams have 32 bits.
+  # Stream numbers have 32 bits.
   @most 0xFFFFFFFF
 
   @compressions %{"none" => :none, "lz4" => :lz4, "zstd" => :zstd}
@@ -20,11 +20,11 @@ defmodule Situ.Store.Catalog do
     {:ok, value} = Situ.JSON.decode(bytes)
     record(value, catalog)
   catch
-    # A record nobody understands takes nothing else with it.
+    # An invalid record must not make the other records unreadable.
     _, _ -> catalog
   end
 
-  # A catalog may come from anybody, so values of another type than expected are ignored.
+  # A catalog is untrusted, so values of an unexpected type are ignored.
   defp record(%{"kind" => "store"} = r, catalog) do
     %{
       catalog
@@ -96,7 +96,7 @@ defmodule Situ.Store.Catalog do
   defp time?(time),
     do: is_integer(time) and time in -0x8000000000000000..0x7FFFFFFFFFFFFFFF
 
-  # Thousands of streams have few types.
+  # Thousands of streams share a few types, so each type name is parsed only once.
   defp type(text, %{types: types} = catalog) when is_map_key(types, text),
     do: {types[text], catalog}
 

@@ -1,6 +1,6 @@
 defmodule Situ.Store.Codecs do
   @moduledoc false
-  # Which module reads a codec's bytes: found by name among the modules of the applications that build on Situ.
+  # Finds the module of a codec by name among the modules of the applications that build on Situ.
 
   @key {__MODULE__, :names}
 
@@ -9,7 +9,7 @@ defmodule Situ.Store.Codecs do
     named(module_name, name) || Map.get(names(), name) || Map.get(rescan(), name)
   end
 
-  @doc "Whether messages like `data` are stored by a codec, and which."
+  @doc "Returns the codec module that stores data like `data`, or `nil`."
   @spec of(term()) :: module() | nil
   def of(%module{}), do: if(codec?(module), do: module)
   def of(_), do: nil

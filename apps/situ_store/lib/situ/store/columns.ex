@@ -1,7 +1,7 @@
 defmodule Situ.Store.Columns do
   @moduledoc """
-  Plain numbers of a stream side by side, as bytes: for whoever computes with millions of them (`Nx.from_binary/2`),
-  or writes them into tables. A message by itself takes a hundred times as long.
+  Plain numbers of a stream as binary columns, for computing with millions of values (`Nx.from_binary/2`) or writing
+  tables. Reading them as individual messages takes a hundred times as long.
 
       iex> root = System.tmp_dir!() <> "/situ-doc-columns"
       iex> {:ok, writer} = Situ.Store.Writer.create("levels", root)
@@ -32,20 +32,20 @@ defmodule Situ.Store.Columns do
           values: binary()
         }
 
-  @doc "The messages as pairs of originating time and value."
+  @doc "Returns the messages as pairs of originating time and value."
   @spec pairs(t()) :: [{Situ.Time.t(), number() | boolean()}]
   def pairs(columns) do
     times = for <<time::little-signed-64 <- columns.times>>, do: time
     Enum.zip(times, values(columns))
   end
 
-  @doc "The values as a list."
+  @doc "Returns the values as a list."
   @spec values(t()) :: [number() | boolean()]
   def values(%{kind: :integer, values: bytes}), do: for(<<n::little-signed-64 <- bytes>>, do: n)
   def values(%{kind: :float, values: bytes}), do: for(<<x::little-float-64 <- bytes>>, do: x)
   def values(%{kind: :boolean, values: bytes}), do: for(<<b <- bytes>>, do: b == 1)
 
-  @doc "Columns of at most `most` messages each, in order."
+  @doc "Splits the columns into columns of at most `most` messages each, in order."
   @spec split(t(), pos_integer()) :: [t()]
   def split(%{count: count} = columns, most) when count <= most, do: [columns]
 

@@ -1,10 +1,10 @@
 defmodule Situ.Store.Copying do
   @moduledoc """
-  Stores out of stores: copy, crop, concatenate. Called through `Situ.Store`. Envelopes, types, metadata, codecs and
-  payloads are kept as they are, also those that this system has no module for; the originals are only read.
+  Copies, crops and concatenates stores. Called through `Situ.Store`. Envelopes, types, metadata, codecs and payloads
+  are copied unchanged, even if this system has no module for them. The originals are only read.
 
-  A new store gets its name when it is complete: a program that ends half way leaves a folder `NAME.*.unfinished`,
-  which the next one deletes.
+  A new store gets its name when it is complete. A program that is killed halfway leaves a folder `NAME.*.unfinished`,
+  which the next program to create a store of this name deletes.
   """
   alias Situ.Error
   alias Situ.Store.Copying.Passes
@@ -12,46 +12,49 @@ defmodule Situ.Store.Copying do
 
   @options [
     from: [type: {:optional, :integer}, doc: "The first originating time."],
-    to: [type: {:optional, :integer}, doc: "The last one; both ends are included."],
+    to: [type: {:optional, :integer}, doc: "The last originating time (inclusive)."],
     streams: [
       type: {:or, [{:list, :string}, {:fun, 1}]},
       doc: "Names, patterns like `\"Room.*\"`, or a predicate of `Situ.Store.StreamInfo`."
     ],
-    compression: [type: {:in, [:none, :lz4, :zstd]}, doc: "For all streams; else as they are."],
-    skip_damage: [type: :boolean, default: true, doc: "Leave damaged chunks out."],
-    progress: [type: {:fun, 2}, doc: "`fun.(done, total)` of messages, as it goes."],
+    compression: [
+      type: {:in, [:none, :lz4, :zstd]},
+      doc: "The compression of all streams. Default: as in the original."
+    ],
+    skip_damage: [type: :boolean, default: true, doc: "Skip damaged chunks."],
+    progress: [type: {:fun, 2}, doc: "Called as `fun.(done, total)` with message counts."],
     times: [
       type: {:in, [:header, :record]},
       default: :header,
       doc:
-        "For bags and MCAP files: whether originating times are the stamps in the headers of messages, where they " <>
-          "have one, or the times of recording."
+        "For bags and MCAP files: take originating times from the message headers (`:header`), if there are any, or " <>
+          "from the times of recording (`:record`)."
     ],
     empty: [
       type: {:in, [:allow, :refuse]},
       default: :allow,
       doc:
-        "Whether an interval without messages gives a store without messages, or the error `:empty_interval`."
+        "For an interval without messages, create a store without messages or return the error `:empty_interval`."
     ],
-    versioned: [type: :boolean, default: true, doc: "Make a sub-folder `NAME.NNNN`."],
+    versioned: [type: :boolean, default: true, doc: "Create a subfolder `NAME.NNNN`."],
     durability: [
       type: :any,
       default: :none,
       doc:
-        "While the store is written, as in `Situ.Store.Writer.create/3`. When it is finished, all of it is on the disk."
+        "Durability during writing, as in `Situ.Store.Writer.create/3`. The finished store is always synced to disk."
     ]
   ]
   @crop_options @options ++
                   [
                     start: [
                       type: :integer,
-                      doc: "Ns from the store's first message, for `from:`."
+                      doc: "Start in ns after the store's first message, instead of `from:`."
                     ],
-                    length: [type: :non_neg_integer, doc: "Ns from there, for `to:`."]
+                    length: [type: :non_neg_integer, doc: "Length in ns, instead of `to:`."]
                   ]
 
   @doc """
-  Copies a store (or a foreign file) into a new one: `{:ok, path}`.
+  Copies a store (or an external file) into a new one: `{:ok, path}`.
 
   `to` is `{name, root}` or a path (a new version of its last name).
 
@@ -76,16 +79,16 @@ defmodule Situ.Store.Copying do
                    |> Keyword.put(:skip_damage,
                      type: :boolean,
                      default: false,
-                     doc: "Leave damaged chunks out."
+                     doc: "Skip damaged chunks."
                    )
   @doc """
-  Rewrites a store in its place: many small commits become full chunks, holes and what was taken back are gone.
+  Rewrites a store in place: combines many small commits into full chunks, and drops gaps and retracted data. Returns
   `{:ok, path}`.
 
-  The new store is complete and on the disk before the two exchange their names in one step, and the old one is deleted
-  last. If the program is killed meanwhile, the recording keeps its name. On a file system that cannot exchange names
-  it may be left as `NAME.before-compaction`, from which `repair/2` restores it. Damage is an error unless
-  `skip_damage: true`.
+  The new store is complete and on disk before the two stores exchange their names in one step. The old store is deleted
+  last. If the program is killed during compaction, the recording keeps its name. On a file system that cannot exchange
+  names, the old store may remain as `NAME.before-compaction`, and `repair/2` restores it. Damage is an error unless
+  `skip_damage: true` is given.
 
   #{Situ.Options.docs(@compact_options)}
   """
@@ -105,7 +108,7 @@ defmodule Situ.Store.Copying do
     with {:ok, store} <- Reading.open(path) do
       cond do
         not Folder.store?(store.path) ->
-          {:error, Error.new(:not_a_store, "#{store.path} is a foreign file, not a store")}
+          {:error, Error.new(:not_a_store, "#{store.path} is an external file, not a store")}
 
         Reading.live?(store) ->
           {:error, Failure.error(:locked, store.path)}
@@ -117,8 +120,8 @@ defmodule Situ.Store.Copying do
   end
 
   @doc """
-  Cuts an interval out: `from:` and `to:` (times), or `start:` and `length:` (ns from the store's first message). Else
-  as `copy/3`.
+  Copies an interval: `from:` and `to:` (times), or `start:` and `length:` (ns from the store's first message). Works
+  like `copy/3` in all other respects.
   """
   @spec crop(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
@@ -130,7 +133,7 @@ defmodule Situ.Store.Copying do
       stop = opts[:to] || (opts[:length] && start + opts[:length])
 
       if stop && stop < start do
-        {:error, Error.new(:bad_interval, "the interval ends before it begins")}
+        {:error, Error.new(:bad_interval, "the interval ends before it starts")}
       else
         copy(
           from,
@@ -142,8 +145,8 @@ defmodule Situ.Store.Copying do
   end
 
   @doc """
-  One store out of several: streams of the same name are appended in order of time; they must be of the same type and
-  not overlap. Options as `copy/3`.
+  Concatenates several stores into one. Streams of the same name are appended in time order. They must have the same
+  type and must not overlap. Takes the options of `copy/3`.
   """
   @spec concat([Path.t()], Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
@@ -164,7 +167,7 @@ defmodule Situ.Store.Copying do
     end
   end
 
-  # An interval without messages is most likely a mistaken time.
+  # An interval without messages is probably a mistake in the times.
   defp check_interval(sources, opts) do
     wanted = {opts[:from] || @earliest, opts[:to] || @latest}
     infos = for {_, info} <- sources, info.count > 0, do: info
@@ -194,15 +197,15 @@ defmodule Situ.Store.Copying do
     last = infos |> Enum.map(& &1.last) |> Enum.max()
     [from, to, first, last] = Enum.map([from, to, first, last], &Situ.Time.to_iso8601/1)
 
-    Error.new(:empty_interval, "no message lies between #{from} and #{to}",
-      why: "the recording goes from #{first} to #{last}",
-      fix: "choose an interval within it"
+    Error.new(:empty_interval, "no messages between #{from} and #{to}",
+      why: "the recording spans #{first} to #{last}",
+      fix: "choose an interval within that span"
     )
   end
 
   defp sources(store), do: Enum.map(Reading.streams(store), &{store, &1})
 
-  # A foreign file is opened so that nothing in it is lost.
+  # Opens an external file with options that preserve all of its data.
   defp open(path, times) do
     reader = if File.regular?(path), do: Formats.for_file(path)
 
@@ -212,7 +215,7 @@ defmodule Situ.Store.Copying do
   end
 
   defp open_all([], _times),
-    do: {:error, Error.new(:no_store, "no stores to put together", fix: "name at least one")}
+    do: {:error, Error.new(:no_store, "no stores to concatenate", fix: "name at least one")}
 
   defp open_all(paths, times) do
     Enum.reduce_while(Enum.reverse(paths), {:ok, []}, fn path, {:ok, stores} ->
@@ -258,7 +261,7 @@ defmodule Situ.Store.Copying do
     end)
   end
 
-  # By name or pattern (`Room.*`), each of which must mean a stream; or by a predicate.
+  # Selects by predicate, or by names and patterns (`Room.*`), each of which must match at least one stream.
   defp selected(infos, nil, _path), do: {:ok, infos}
 
   defp selected(infos, fun, _path) when is_function(fun, 1),
@@ -289,7 +292,7 @@ defmodule Situ.Store.Copying do
     end
   end
 
-  # `parts`: each stream of the new store with the sources of its messages.
+  # `parts` pairs each stream of the new store with the sources of its messages.
   defp build(to, parts, opts) do
     infos = for {_, sources} <- parts, {_, info} <- sources, do: info
     report = progress_reporter(infos, opts)
@@ -305,7 +308,7 @@ defmodule Situ.Store.Copying do
   def target(path), do: {Folder.name(path), path |> Path.expand() |> Path.dirname()}
 
   @doc false
-  # A function that reports `n` more messages to the caller's `progress`.
+  # Returns a function that reports `n` more messages to the caller's `progress`.
   @spec progress_reporter([StreamInfo.t()], keyword()) :: (pos_integer() -> any())
   def progress_reporter(infos, opts) do
     total = infos |> Enum.map(& &1.count) |> Enum.sum()
@@ -322,8 +325,8 @@ defmodule Situ.Store.Copying do
   @smallest 64 * 1024
 
   @doc false
-  # A small store needs no large first extent, which a small disk may have no room for; and a copy is for nobody who
-  # could not read all of what it is of.
+  # A small store needs only a small first extent, since the disk may be small, too. The copy must not be readable by
+  # anyone who cannot read all of the originals.
   @spec sized(keyword(), [StreamInfo.t()]) :: keyword()
   def sized(opts, infos) do
     stored = infos |> Enum.map(& &1.stored) |> Enum.sum()

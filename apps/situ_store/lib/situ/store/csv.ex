@@ -1,23 +1,23 @@
 defmodule Situ.Store.Csv do
   @moduledoc """
-  CSV files as recordings: a column of times, and one stream for every other column.
+  Reads CSV files as recordings: one column contains times, and every other column becomes a stream.
 
   Options (`Situ.Store.open(path, reader_opts: [...])`):
 
-    * `time:` the name or number (0 is the first) of the time column; default: the first column called like a time,
-      else the first
-    * `unit:` `:auto` (default), `:s`, `:ms`, `:us`, `:ns` or `:iso8601`; `:auto` takes ISO 8601 as such, and numbers
-      by the unit in the column's name (`t_ms`, `Timestamp (us)`), else as seconds
+    * `time:` the name or number (0 is the first) of the time column; default: the first column whose name looks like a
+      time, or else the first column
+    * `unit:` `:auto` (default), `:s`, `:ms`, `:us`, `:ns` or `:iso8601`; `:auto` detects ISO 8601, and reads numbers in
+      the unit given by the column's name (`t_ms`, `Timestamp (us)`) or else in seconds
     * `start:` ns added to every time, default 0
-    * `separator:` default: `,`, `;` or tab, whichever the first line has most of
+    * `separator:` default: `,`, `;` or tab, whichever occurs most often in the first line
 
-  Fields are numbers where they look like numbers, else strings; a column is `:integer`, `:float` or `:string` as all
-  its fields are. Empty fields are no message. Quotes are those of RFC 4180: a field in quotes may hold separators,
-  quotes (doubled) and line breaks. Rows that do not go forward in time or cannot be read are left out and counted in
-  `Situ.Store.info/1` as damage.
+  Fields that look like numbers are numbers; all others are strings. A column is `:integer`, `:float` or `:string`,
+  depending on all its fields. An empty field produces no message. Quoting follows RFC 4180: a quoted field may contain
+  separators, (doubled) quotes and line breaks. Rows that are invalid or whose time does not increase are skipped and
+  reported as damage in `Situ.Store.info/1`.
 
-  The file may be of any length: opening passes over it once, and of every 1,000 rows only the place is kept; reading
-  takes them from there. A copy into a store (`Situ.Store.copy/3`) reads all columns in one further pass.
+  Files of any size are supported. Opening scans the file once and keeps only the position of every 1,000th row, where
+  later reads start. Copying into a store (`Situ.Store.copy/3`) reads all columns in one further pass.
   """
   @behaviour Situ.Store.Reader
   alias Situ.{Error, Message}
@@ -45,7 +45,7 @@ defmodule Situ.Store.Csv do
          Error.new(:io, "cannot read #{path}", why: to_string(:file.format_error(reason)))}
 
       {:error, why} ->
-        {:error, Error.new(:not_csv, "#{path} is not a CSV file Situ can read", why: why)}
+        {:error, Error.new(:not_csv, "#{path} is not a CSV file that Situ can read", why: why)}
     end
   end
 
@@ -97,7 +97,7 @@ defmodule Situ.Store.Csv do
 
   @impl true
   def append_streams(state, targets, {from, _to} = interval, told) do
-    # A column without fields has no kind, and no messages.
+    # A column without fields has no kind and no messages.
     filled = for {%{count: count}, _stream} = target <- targets, count > 0, do: target
 
     job = %Appending{
@@ -113,7 +113,7 @@ defmodule Situ.Store.Csv do
          do: {:error, changed(state, why)}
   end
 
-  # The rest of the part that holds the message: a part is what is read at once anyway.
+  # Returns the rest of the part that contains the message, because parts are always read completely.
   defp read_part(state, info, ordinal, to, most) do
     at = search(state.parts, &(Map.get(&1.counts, info.id - 1, 0) <= ordinal))
 
@@ -135,13 +135,13 @@ defmodule Situ.Store.Csv do
     end
   end
 
-  # The last part that begins before `time`: what is wanted lies in it or is the first behind it.
+  # Finds the last part that begins before `time`. The requested message is in this part or is the first one after it.
   defp first_part(state, time), do: search(state.parts, &(&1.last == nil or &1.last < time))
 
   defp changed(state, why \\ nil),
     do: Error.new(:damaged, "#{state.path} has changed since it was opened", why: why)
 
-  # The last part of which `before?` holds; it does of the first ones, and of none behind them.
+  # Finds the last part for which `before?` is true. It must be true for a prefix of the parts and false for the rest.
   defp search(parts, before?), do: search(parts, before?, 0, tuple_size(parts))
   defp search(_parts, _before?, low, high) when high - low <= 1, do: low
 

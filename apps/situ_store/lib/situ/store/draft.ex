@@ -1,14 +1,14 @@
 defmodule Situ.Store.Draft do
   @moduledoc false
-  # A store made out of others. While it is written its folder is NAME.PID-N.unfinished, which nothing takes for a
-  # store. It gets its name in one step, when it is complete and on the disk. The next program that makes a store of
-  # this name deletes the drafts of killed ones.
+  # Builds a store from other stores. During writing, its folder is NAME.PID-N.unfinished, which is never treated as a
+  # store. The store gets its name in one step when it is complete and on disk. The next program that creates a store
+  # of this name deletes the drafts of programs that were killed.
   alias Situ.Error
   alias Situ.Store.{AtomicFile, FileLock, Folder, Reading, Replacement, Writer}
 
   @doc """
-  Makes a store that `work.(writer)` fills. On an error nothing of it stays. With `replace: folder` it replaces that
-  store.
+  Builds a store that `work.(writer)` fills. If an error occurs, the draft is deleted. With `replace: folder`, the new
+  store replaces that one.
   """
   @spec make({String.t(), Path.t()}, keyword(), (Writer.t() -> :ok | {:error, Error.t()})) ::
           {:ok, Path.t()} | {:error, Error.t()}
@@ -36,7 +36,7 @@ defmodule Situ.Store.Draft do
     end
   end
 
-  # Refuses a name that is taken before the work starts, not after it.
+  # Rejects a name that is taken before the work starts.
   defp free({:plain, name, root}) do
     with {:ok, _} <- Folder.create(name, root, false), do: :ok
   end
@@ -44,7 +44,7 @@ defmodule Situ.Store.Draft do
   defp free({:version, name, _root}), do: Folder.check_name(name)
   defp free({:replace, _folder}), do: :ok
 
-  # The maker of a draft holds its lock until the store has its name, so that no other program deletes it.
+  # The creator of a draft holds its lock until the store has its name, so that no other program deletes the draft.
   defp claim(base) do
     draft = "#{base}.#{System.pid()}-#{System.unique_integer([:positive])}#{Folder.unfinished()}"
 
@@ -80,17 +80,18 @@ defmodule Situ.Store.Draft do
     {:error, error}
   end
 
-  # If the user deletes the original next, and the power fails, the copy is still there.
+  # The copy must survive a power failure even if the user deletes the original immediately after this.
   defp sync(draft) do
     with {:error, reason} <- AtomicFile.sync_files(draft),
-         do: {:error, Folder.io_error("bring #{draft} to the disk", reason)}
+         do: {:error, Folder.io_error("sync #{draft} to disk", reason)}
   end
 
   defp place(draft, {:version, name, root}), do: Folder.place_version(draft, name, root)
   defp place(draft, {:plain, _name, root}), do: move(draft, root)
   defp place(draft, {:replace, folder}), do: Replacement.put(draft, folder)
 
-  # A folder that holds other things already gets the files; the index last, with which it is a store.
+  # If the folder already contains other files, the store's files are moved into it. The index is moved last because it
+  # makes the folder a store.
   defp move(draft, path) do
     with {:error, reason} when reason in [:eexist, :enotempty] <- AtomicFile.rename(draft, path) do
       names = draft |> File.ls!() |> Enum.sort() |> Enum.sort_by(&(&1 == "index.situ"))
@@ -100,12 +101,12 @@ defmodule Situ.Store.Draft do
     end
     |> case do
       :ok -> {:ok, path}
-      {:error, reason} -> {:error, Folder.io_error("give #{draft} its name", reason)}
+      {:error, reason} -> {:error, Folder.io_error("rename #{draft}", reason)}
     end
   end
 
   defp explain_error({:error, %{code: :disk_full} = error}) do
-    why = "what was made so far is removed again; the original is as it was"
+    why = "the incomplete copy was deleted; the original is unchanged"
     {:error, %{error | why: why}}
   end
 
@@ -128,7 +129,7 @@ defmodule Situ.Store.Draft do
     end
   end
 
-  # A draft of an older release has no lock but the writer's.
+  # Drafts of older releases have only the writer's lock.
   defp live?(path) do
     case Reading.open(path) do
       {:ok, store} -> Reading.live?(store)

@@ -1,6 +1,6 @@
 defmodule Situ.Store.Editing do
   @moduledoc """
-  Changing single messages of a recording. Called through `Situ.Store.edit/4`; the original is only read.
+  Changes individual messages of a recording. Called through `Situ.Store.edit/4`; the original is only read.
   """
   alias Situ.{Error, Message}
   alias Situ.Store.{Copying, Draft, Failure, Reading, StreamInfo, Transfer, Writer}
@@ -11,18 +11,22 @@ defmodule Situ.Store.Editing do
     add: [
       type: {:list, {:tuple, [:string, :keyword]}},
       default: [],
-      doc: "New streams, `{name, options}` as `Situ.Store.Writer.stream/3`; edits may fill them."
+      doc:
+        "New streams as `{name, options}`, see `Situ.Store.Writer.stream/3`. Edits may fill them."
     ],
-    compression: [type: {:in, [:none, :lz4, :zstd]}, doc: "For all streams; else as they are."],
-    skip_damage: [type: :boolean, default: true, doc: "Leave damaged chunks out."],
-    progress: [type: {:fun, 2}, doc: "`fun.(done, total)` of messages, as it goes."],
-    versioned: [type: :boolean, default: true, doc: "Make a sub-folder `NAME.NNNN`."]
+    compression: [
+      type: {:in, [:none, :lz4, :zstd]},
+      doc: "The compression of all streams. Default: as in the original."
+    ],
+    skip_damage: [type: :boolean, default: true, doc: "Skip damaged chunks."],
+    progress: [type: {:fun, 2}, doc: "Called as `fun.(done, total)` with message counts."],
+    versioned: [type: :boolean, default: true, doc: "Create a subfolder `NAME.NNNN`."]
   ]
 
   @doc """
-  A new store with edits applied by exact originating time: `edits` is a map of stream names to
-  `[{:upsert, time, data} | {:delete, time}]`. An upsert replaces the message of that time or inserts one; its data
-  must fit the stream's type. Everything else is kept as it is.
+  Creates a new store with edits applied by exact originating time. `edits` is a map of stream names to
+  `[{:upsert, time, data} | {:delete, time}]`. An upsert replaces the message at that time or inserts one. Its data must
+  match the stream's type. Everything else is copied unchanged.
 
   #{Situ.Options.docs(@options)}
   """
@@ -50,7 +54,7 @@ defmodule Situ.Store.Editing do
     end
   end
 
-  # A stream goes on holding what it says it holds.
+  # An edit must not violate the stream's declared type.
   defp misfit(info, edits) do
     wrong = &(elem(&1, 0) == :upsert and not Situ.Type.valid?(info.type, elem(&1, 2)))
 
@@ -58,7 +62,7 @@ defmodule Situ.Store.Editing do
       {:error,
        Error.new(:type_mismatch, "#{inspect(data, limit: 5)} does not fit #{inspect(info.name)}",
          why: "the stream is of type #{inspect(info.type)}",
-         fix: "give a value of that type for #{Situ.Time.to_iso8601(time)}"
+         fix: "pass a value of that type for #{Situ.Time.to_iso8601(time)}"
        )}
     end
   end
@@ -83,7 +87,7 @@ defmodule Situ.Store.Editing do
     end)
   end
 
-  # The last edit of a time is the one meant.
+  # If several edits have the same time, the last one wins.
   defp sorted(edits) do
     (edits || [])
     |> Enum.reverse()
@@ -106,11 +110,11 @@ defmodule Situ.Store.Editing do
          do: Transfer.close(transfer, closed(info.closed, edits))
   end
 
-  # Messages inserted behind the stream's end belong to it.
+  # Inserting messages after the stream's end moves its end.
   defp closed(nil, _edits), do: nil
   defp closed(time, edits), do: Enum.max([time | for({:upsert, at, _} <- edits, do: at)])
 
-  # Messages between two edits are taken over as they are.
+  # Messages between two edits are copied unchanged.
   defp merge(transfer, source, edits) do
     Enum.reduce_while(edits, {:ok, transfer, 0}, fn edit, {:ok, transfer, ordinal} ->
       with {:ok, transfer, next} <- Transfer.take(transfer, source, ordinal, elem(edit, 1) - 1),

@@ -1,10 +1,10 @@
 defmodule Situ.Store.Envelopes do
   @moduledoc """
-  Envelopes that came from elsewhere, brought forward where they go back. Pure.
+  Makes the envelopes of recorded messages monotonic. Pure.
 
-  Sequence ids and creation times are the recorded ones as long as they do not go back. Where recordings were put
-  together, edited, start over in a loop or go on in a next version, ids go on from where they were; where the clock
-  was set back, creation times stand still.
+  Recorded sequence ids and creation times are kept if they do not decrease. Where recordings were concatenated or
+  edited, or a loop or a next version begins, ids continue from the previous ones. Where the clock was set back,
+  creation times stay at the latest value.
 
       iex> message = %Situ.Message{data: :a, originating_time: 1, creation_time: 10, sequence_id: 1}
       iex> two = [message, %{message | originating_time: 2, creation_time: 5, sequence_id: 2}]
@@ -14,14 +14,14 @@ defmodule Situ.Store.Envelopes do
   """
   alias Situ.Message
 
-  @typedoc "The last sequence id and creation time so far."
+  @typedoc "The latest sequence id and creation time."
   @type last :: {integer(), Situ.Time.t()}
 
-  @doc "Before the first message."
+  @doc "Returns the value of `last` before the first message."
   @spec none() :: last()
   def none, do: {0, -0x7FFFFFFFFFFFFFFF}
 
-  @doc "The messages with ids and creation times behind `last`, and the last of them."
+  @doc "Returns the messages with ids and creation times that continue after `last`, and the new `last`."
   @spec forward([Message.t()], last()) :: {[Message.t()], last()}
   def forward(messages, {sequence, creation} = last) do
     case in_order(messages, sequence, creation) do

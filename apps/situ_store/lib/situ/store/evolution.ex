@@ -1,15 +1,14 @@
 defmodule Situ.Store.Evolution do
   @moduledoc """
-  Reading structs that have changed since they were recorded.
+  Reads structs that have changed since they were recorded.
 
-  A recorded field must still exist today, and a field that is new today must have a default (not be among
-  `@enforce_keys`); then old data gets the defaults. Anything else is the error `:schema_mismatch` when the stream is
-  opened, not a surprise later.
+  Every recorded field must still exist, and every new field must have a default (it must not be in `@enforce_keys`).
+  Old data then gets the defaults. Any other difference is reported as `:schema_mismatch` when the stream is opened.
   """
   alias Situ.Error
   alias Situ.Store.StreamInfo
 
-  @doc "A function that brings a batch of messages to struct `type` (`nil`: leaves them as they are)."
+  @doc "Returns a function that converts a batch of messages to struct `type`, or the identity function for `nil`."
   @spec upgrade!(StreamInfo.t(), module() | nil) :: ([Situ.Message.t()] -> [Situ.Message.t()])
   def upgrade!(_info, nil), do: & &1
 
@@ -28,7 +27,7 @@ defmodule Situ.Store.Evolution do
     end
   end
 
-  # A stream recorded as anything is checked message by message when it is read as something.
+  # A stream with a loose recorded type is checked message by message when a specific type is requested.
   defp loose?(type) when type in [:any, :list, :tuple, :map], do: true
 
   defp loose?(type) when is_tuple(type),
@@ -44,14 +43,14 @@ defmodule Situ.Store.Evolution do
 
       raise Error.new(
               :schema_mismatch,
-              "a message of #{inspect(info.name)} is no #{inspect(type)}",
+              "a message of #{inspect(info.name)} does not match #{inspect(type)}",
               why: "at #{time} it is #{inspect(message.data, limit: 5, printable_limit: 50)}",
-              fix: "read the stream without a type, it was recorded as #{info.type_name}"
+              fix: "read the stream without a type; it was recorded as #{info.type_name}"
             )
     end
   end
 
-  @doc "Whether the stream can be read as `type`."
+  @doc "Checks whether the stream can be read as `type`."
   @spec check(StreamInfo.t(), Situ.Type.t()) :: :ok | {:error, Error.t()}
   def check(info, type) do
     cond do
@@ -68,7 +67,8 @@ defmodule Situ.Store.Evolution do
 
     cond do
       gone != [] ->
-        {:error, mismatch(info, module, "recorded fields are gone: #{Enum.join(gone, ", ")}")}
+        {:error,
+         mismatch(info, module, "recorded fields no longer exist: #{Enum.join(gone, ", ")}")}
 
       required != [] ->
         {:error,
@@ -79,7 +79,7 @@ defmodule Situ.Store.Evolution do
     end
   end
 
-  # Enforced keys are those without which `__struct__/1` makes none.
+  # There is no way to list enforced keys, so each field is left out in turn to see whether `__struct__/1` raises.
   defp required(module) do
     fields = module |> struct() |> Map.from_struct() |> Map.keys()
     for key <- fields, not makes?(module, List.delete(fields, key)), do: to_string(key)
@@ -112,7 +112,7 @@ defmodule Situ.Store.Evolution do
 
   defp other(info, type) do
     %{
-      mismatch(info, type, "the stream holds #{info.type_name}")
+      mismatch(info, type, "the stream contains #{info.type_name}")
       | fix: "read it as #{info.type_name}, or without a type"
     }
   end
@@ -120,7 +120,7 @@ defmodule Situ.Store.Evolution do
   defp mismatch(info, type, why) do
     Error.new(:schema_mismatch, "stream #{inspect(info.name)} cannot be read as #{inspect(type)}",
       why: why,
-      fix: "read it without a type, or give new fields a default and keep the old ones"
+      fix: "read it without a type, or give new fields a default and keep the old fields"
     )
   end
 end

@@ -1,8 +1,8 @@
 defmodule Situ.Store.Exporter do
   @moduledoc """
-  A store being written by a pipeline: what `Situ.Store.create/4` returns and `Situ.Store.write/4` takes.
+  A store that a pipeline is writing, created by `Situ.Store.create/4` and passed to `Situ.Store.write/4`.
 
-  The store is closed when the pipeline has completed, whether it ended well or by an error.
+  The store is closed when the pipeline has completed, whether it succeeded or failed.
   """
   alias Situ.{Options, Pipeline, Stream}
   alias Situ.Store.{Folder, Keys, Pieces, Reading, SharedWriter, Sink, Volatile, Writer}
@@ -10,25 +10,28 @@ defmodule Situ.Store.Exporter do
 
   @write_options Keyword.delete(Writer.stream_options(), :type) ++
                    [
-                     type: [type: :any, doc: "The `Situ.Type` to note; default: the stream's."],
+                     type: [
+                       type: :any,
+                       doc: "The `Situ.Type` to record. Default: the stream's type."
+                     ],
                      envelopes: [
                        type: :boolean,
                        default: false,
-                       doc: "Record the envelopes only; the data become `nil`."
+                       doc: "Record only the envelopes; the data become `nil`."
                      ],
                      keys: [
                        type: :boolean,
                        default: false,
                        doc:
-                         "Keep the keys of the stream's maps in its metadata (`Situ.Store.Keys`)."
+                         "Store the keys of the stream's maps in its metadata (`Situ.Store.Keys`)."
                      ],
                      policy: [
                        type: :any,
                        doc:
-                         "A `Situ.Delivery`; default: lossless, whatever the pipeline's default."
+                         "A `Situ.Delivery`. Default: lossless, regardless of the pipeline's default."
                      ],
                      name: [type: :string, doc: "The component's name."],
-                     on_error: [type: :any, doc: "As for every component."]
+                     on_error: [type: :any, doc: "The error policy, as for every component."]
                    ]
 
   # `path` is the store's folder.
@@ -36,9 +39,9 @@ defmodule Situ.Store.Exporter do
     split: [
       type: {:or, [:pos_integer, {:tuple, [{:in, [:bytes]}, :pos_integer]}]},
       doc:
-        "Record in pieces: begin a new store, the next version of the name, after so many ns of " <>
-          "originating time, or (`{:bytes, n}`) when one has got so many bytes on the disk; a piece is then " <>
-          "larger by what was under way."
+        "Record in segments: begin a new store (the next version of the name) after this many ns of " <>
+          "originating time, or (`{:bytes, n}`) once a segment occupies this many bytes on disk. A segment " <>
+          "then exceeds the limit by the data in flight."
     ],
     keep: [
       type:
@@ -48,10 +51,10 @@ defmodule Situ.Store.Exporter do
            {:tuple, [{:in, [:bytes]}, :pos_integer]}
          ]},
       doc:
-        "With `split:`: delete the oldest pieces, including those of earlier runs, so that at least " <>
-          "`{:span, ns}` or at most `{:bytes, n}` stay. A span is the time recorded in complete pieces before " <>
-          "the newest, without pauses. For pieces that are cut by size, it is the time since they ended by " <>
-          "the computer's clock. A wrong time in a message never deletes anything."
+        "With `split:`: delete the oldest segments, including segments of earlier runs, to keep at least " <>
+          "`{:span, ns}` or at most `{:bytes, n}`. A span is the time recorded in complete segments before " <>
+          "the newest, without pauses. For segments split by size, it is the time since they ended, measured " <>
+          "by the computer's clock. An incorrect time in a message never causes a deletion."
     ]
   ]
 
@@ -100,11 +103,11 @@ defmodule Situ.Store.Exporter do
       end
 
     raise ArgumentError,
-          "Situ.Store.create/4 takes the pipeline, a name, a folder (nil: in memory) and options: #{wrong}\n" <>
+          "Situ.Store.create/4 takes the pipeline, a name, a folder (nil: in memory) and options, but #{wrong}\n" <>
             ~s|  Write: Situ.Store.create(p, "lobby", "recordings")|
   end
 
-  # `path` is the name without a version: its newest piece opens by it.
+  # `path` is the name without a version, which opens the newest segment.
   defp in_pieces(p, {name, root, opts}, split, keep) do
     cut = Cut.new(split)
 
@@ -158,7 +161,7 @@ defmodule Situ.Store.Exporter do
       end
 
     raise ArgumentError,
-          "Situ.Store.write/4 takes a stream, a store from Situ.Store.create/4, and a name: #{wrong}\n" <>
+          "Situ.Store.write/4 takes a stream, a store from Situ.Store.create/4, and a name, but #{wrong}\n" <>
             ~s|  Write: store = Situ.Store.create(p, "lobby", "recordings"); Situ.Store.write(stream, store, "Level")|
   end
 
@@ -189,8 +192,8 @@ defmodule Situ.Store.Exporter do
     end
   end
 
-  # A lossy default of the pipeline does not thin out its recording: nothing is lost on the way to disk unless the
-  # caller says so.
+  # A lossy default policy of the pipeline must not thin out its recording. Recordings are lossless unless the caller
+  # requests otherwise.
   defp component(name, opts) do
     [policy: Situ.Delivery.unlimited(), name: "Write " <> String.replace(name, ".", " ")]
     |> Keyword.merge(Keyword.take(opts, [:policy, :name, :on_error]))
@@ -203,7 +206,7 @@ defmodule Situ.Store.Exporter do
     Situ.via(stream, Keys, own ++ [name: name, policy: Situ.Delivery.unlimited()])
   end
 
-  # The pipeline never ran: a recording of nothing would only stand in the way of the one before it.
+  # The pipeline never ran. An empty recording would hide the previous version.
   defp give_up(%{writer: writer} = shared) do
     SharedWriter.close(shared)
 

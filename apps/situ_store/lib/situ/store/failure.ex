@@ -1,20 +1,20 @@
 defmodule Situ.Store.Failure do
   @moduledoc false
-  # The native side's failures as errors people can act on.
+  # Converts the failures of native code to errors that people can act on.
   alias Situ.Error
 
   @spec error(term(), Path.t(), String.t() | nil) :: Error.t()
   def error(reason, path, stream \\ nil)
 
   def error({:io, what, 28, _why}, path, _stream) do
-    Error.new(:disk_full, "no room left on the disk of #{path}",
-      why: "could not #{what}; everything written before is safe and readable",
+    Error.new(:disk_full, "no space left on the disk of #{path}",
+      why: "could not #{what}; all data written before is safe and readable",
       fix: "free some space, or record to another disk"
     )
   end
 
   def error({:io, what, errno, why}, path, _stream) when errno in [1, 13, 30] do
-    Error.new(:not_permitted, "may not #{what} in #{path}",
+    Error.new(:not_permitted, "not permitted to #{what} in #{path}",
       why: why,
       fix: "check the folder's owner and permissions"
     )
@@ -47,14 +47,14 @@ defmodule Situ.Store.Failure do
   def error(:index_lost, path, _stream) do
     Error.new(:index_lost, "the store #{path} has lost its index",
       why: "there is no index.situ in it",
-      fix: "put the file back, or `situ store repair` makes one out of the data"
+      fix: "restore the file, or rebuild it from the data with `situ store repair`"
     )
   end
 
   def error(:not_a_store, path, _stream) do
     Error.new(:not_a_store, "#{path} is not a store",
-      why: "its index does not begin like one",
-      fix: "if it was one, `situ store repair` rebuilds a lost index from the data"
+      why: "its index does not have the format of a store",
+      fix: "if it was a store, `situ store repair` rebuilds a lost index from the data"
     )
   end
 
@@ -68,23 +68,23 @@ defmodule Situ.Store.Failure do
   def error({:not_increasing, _id, last, got}, path, stream) do
     Error.new(:not_increasing, "originating times of stream #{inspect(stream)} must increase",
       why: "after #{Situ.Time.to_iso8601(last)} came #{Situ.Time.to_iso8601(got)}",
-      fix: "give every message of a stream a later originating time than the one before",
+      fix: "give every message a later originating time than the previous message of its stream",
       meta: %{path: path, last: last, got: got}
     )
   end
 
   def error({:not_storable, what}, path, stream) do
     Error.new(:not_storable, "a message of stream #{inspect(stream)} contains #{what}",
-      why: "such a value means nothing in another process or after a restart",
-      fix: "map the stream to plain data before it is written",
+      why: "this value has no meaning in another process or after a restart",
+      fix: "map the stream to plain data before writing it",
       meta: %{path: path}
     )
   end
 
   def error({:too_large, size}, _path, stream) do
     Error.new(:too_large, "a message of stream #{inspect(stream)} has #{size} bytes",
-      why: "a message can have 1 GiB at most",
-      fix: "split it"
+      why: "the limit is 1 GiB per message",
+      fix: "split the message"
     )
   end
 
@@ -98,22 +98,22 @@ defmodule Situ.Store.Failure do
 
   def error(:stream_exists, path, stream) do
     Error.new(:stream_exists, "the store #{path} already has a stream #{inspect(stream)}",
-      fix: "write each stream once, under a name of its own"
+      fix: "write each stream only once and under a unique name"
     )
   end
 
   def error({:damaged, file, offset, why}, path, stream) do
     Error.new(:damaged, "the store #{path} is damaged in #{file} at byte #{offset}",
       why: why,
-      fix: "`situ store verify` lists all damage, `situ store repair` drops what is lost",
+      fix: "`situ store verify` lists all damage, `situ store repair` drops the damaged data",
       meta: %{file: file, offset: offset, stream: stream}
     )
   end
 
   def error({:missing_extent, file}, path, stream) do
-    Error.new(:missing_extent, "the store #{path} lacks its file #{file}",
-      why: "part of its messages were in it",
-      fix: "put the file back, or `situ store repair` to go on without",
+    Error.new(:missing_extent, "the store #{path} has lost its file #{file}",
+      why: "the file contained part of its messages",
+      fix: "restore the file, or continue without it using `situ store repair`",
       meta: %{file: file, stream: stream}
     )
   end
@@ -124,7 +124,7 @@ defmodule Situ.Store.Failure do
     )
   end
 
-  @doc "There is no such stream among `names`."
+  @doc "Returns the error for a missing stream, with a suggestion from `names`."
   @spec no_stream(String.t(), [String.t()], Path.t()) :: Error.t()
   def no_stream(name, names, path) do
     fix =

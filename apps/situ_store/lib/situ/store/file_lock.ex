@@ -1,7 +1,7 @@
 defmodule Situ.Store.FileLock do
   @moduledoc """
-  A lock between processes of the operating system, for files that are edited in turns, such as the file of a dataset
-  and the journal of an annotation stream.
+  A lock between operating system processes, for files that several programs edit, such as a dataset file or the journal
+  of an annotation stream.
 
       iex> path = Path.join(System.tmp_dir!(), "situ-doc-lock-#{System.pid()}")
       iex> {:ok, lock} = Situ.Store.FileLock.acquire(path)
@@ -12,14 +12,14 @@ defmodule Situ.Store.FileLock do
       iex> File.exists?(path)
       false
 
-  The lock belongs to one Erlang process. It is released when that process ends, or when its term is garbage collected;
-  when the whole program dies, the operating system releases it. While it is held, its file says who holds it
+  The lock belongs to one Erlang process. It is released when that process ends or its lock term is garbage collected.
+  If the whole program dies, the operating system releases it. While the lock is held, its file describes the holder
   (`t:holder/0`).
   """
   alias Situ.Error
   alias Situ.Store.{Failure, Native}
 
-  @typedoc "The holder of a lock, as it described itself. A key that cannot be read is `nil`."
+  @typedoc "The holder of a lock, as recorded in the lock's file. Unreadable keys are `nil`."
   @type holder :: %{
           os_pid: String.t() | nil,
           host: String.t() | nil,
@@ -30,13 +30,13 @@ defmodule Situ.Store.FileLock do
         }
   @opaque t :: reference()
 
-  # How long to wait for a lock whose holder in this system has just ended.
+  # Time to wait for a lock whose holder in this system has just ended.
   @ending_ms 5_000
   @again_ms 10
 
   @doc """
-  Takes the lock for the calling process: `{:ok, lock}`, or `{:held, holder}` when another process keeps it
-  for longer than `wait_ms`. `path` is a file for this purpose alone.
+  Acquires the lock for the calling process: `{:ok, lock}`, or `{:held, holder}` if another process still holds it after
+  `wait_ms`. `path` must be a file that is used only for this lock.
   """
   @spec acquire(Path.t(), non_neg_integer()) ::
           {:ok, t()} | {:held, holder()} | {:error, Error.t()}
@@ -66,18 +66,18 @@ defmodule Situ.Store.FileLock do
 
   defp now, do: System.monotonic_time(:millisecond)
 
-  @doc "Makes the calling process the holder of the lock, in place of the process that took it."
+  @doc "Makes the calling process the holder of the lock, replacing the process that acquired it."
   @spec own(t()) :: :ok
   def own(lock) do
     true = Native.file_lock_give(lock, self())
     :ok
   end
 
-  @doc "Releases the lock. Does nothing when it was released already."
+  @doc "Releases the lock. Does nothing if it was already released."
   @spec release(t()) :: :ok
   def release(lock), do: Native.file_unlock(lock)
 
-  @doc "Describes the holder for a person: `Anna's situ studio (process 4711 on lab3), since 2026-01-31T12:00:00Z`."
+  @doc "Describes the holder for users: `Anna's situ studio (process 4711 on lab3), since 2026-01-31T12:00:00Z`."
   @spec describe(holder()) :: String.t()
   def describe(holder) do
     who = Enum.map_join([holder.user, holder.program], ": ", &(&1 || "unknown"))
@@ -102,7 +102,7 @@ defmodule Situ.Store.FileLock do
     List.to_string(name)
   end
 
-  # The first words of the command line only, since options may contain secrets.
+  # Only the first words of the command line, since options may contain secrets.
   defp program do
     case Enum.take_while(:init.get_plain_arguments(), &word?/1) do
       [] -> "an Elixir program"
@@ -110,7 +110,7 @@ defmodule Situ.Store.FileLock do
     end
   end
 
-  # An argument that is not UTF-8 is a tuple.
+  # `:init` returns arguments that are not UTF-8 as tuples.
   defp word?(text), do: is_list(text) and List.to_string(text) =~ ~r/\A[a-z][\w.\/-]*\z/i
 
   defp parse_holder(text) do
@@ -125,13 +125,13 @@ defmodule Situ.Store.FileLock do
         do: {key, printable(found[Atom.to_string(key)])}
   end
 
-  # Any user with access to the folder may have written it, and terminals obey control characters.
+  # Any user with access to the folder may have written the file, and terminals interpret control characters.
   defp printable(text) when is_binary(text),
     do: text |> String.replace(~r/[^[:print:]]/u, "?") |> String.slice(0, 80)
 
   defp printable(_), do: nil
 
-  # A process of this system that has ended: its lock is about to be released.
+  # The holder was a process of this system that has ended, so its lock is about to be released.
   defp ended?(%{os_pid: os_pid, host: host, process: process}) do
     os_pid == System.pid() and host == host() and process != nil and not alive?(process)
   end

@@ -1,6 +1,6 @@
 defmodule Situ.Store.Folder do
   @moduledoc false
-  # Where stores lie: root/name.NNNN, the highest number being the newest.
+  # Locates stores at root/name.NNNN, where the highest number is the newest version.
   alias Situ.Error
   alias Situ.Store.{AtomicFile, Failure, Formats, Native}
 
@@ -13,19 +13,19 @@ defmodule Situ.Store.Folder do
 
   @unfinished ".unfinished"
 
-  @doc "The ending of an unfinished folder's name."
+  @doc "Returns the suffix of an unfinished folder's name."
   @spec unfinished() :: String.t()
   def unfinished, do: @unfinished
 
-  @doc "Whether a folder is an unfinished one."
+  @doc "Returns whether a folder is unfinished."
   @spec unfinished?(Path.t()) :: boolean()
   def unfinished?(path), do: String.ends_with?(path, @unfinished)
 
-  @doc "A new folder for store `name` below `root`; with a `mode` (of its files) only those it names may enter."
+  @doc "Creates a folder for store `name` in `root`. `mode` is the mode of its files and also restricts the folder."
   @spec create(String.t(), Path.t(), boolean(), non_neg_integer() | nil) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def create(name, root, versioned?, mode \\ nil) do
-    # A folder that was there before is somebody's.
+    # An existing folder belongs to the user, so its mode is not changed.
     ours? = versioned? or not File.exists?(root)
 
     with :ok <- check_name(name),
@@ -38,10 +38,10 @@ defmodule Situ.Store.Folder do
   defp made(name, root, true), do: create_version(name, root, next(name, root))
   defp made(_name, root, false), do: create_plain(root)
 
-  # The files' owner, and a group that reads.
+  # The owner may read and write; the group may read.
   @mode 0o640
 
-  @doc "The mode of a copy of these recordings when nobody says another: no wider than any of them; `nil` is the usual."
+  @doc "Returns the mode for a copy of these recordings: the narrowest of theirs, or `nil` for the usual mode."
   @spec mode_of([Path.t()]) :: non_neg_integer() | nil
   def mode_of(paths) do
     modes = for path <- paths, {:ok, stat} <- [File.stat(file(path))], do: stat.mode
@@ -49,7 +49,7 @@ defmodule Situ.Store.Folder do
     if mode == @mode, do: nil, else: Bitwise.bor(mode, 0o600)
   end
 
-  @doc "Gives a store's files, and its folder, the modes that those of another have."
+  @doc "Gives a store's files and folder the modes of the files and folder of another store."
   @spec keep_mode(Path.t(), Path.t()) :: :ok | {:error, Error.t()}
   def keep_mode(path, like) do
     mode = File.stat!(file(like)).mode
@@ -57,17 +57,18 @@ defmodule Situ.Store.Folder do
     File.chmod!(path, Bitwise.band(File.stat!(like).mode, 0o777))
   rescue
     error in File.Error ->
-      {:error, Error.new(:io, "cannot set the mode of #{path}", why: Exception.message(error))}
+      {:error,
+       Error.new(:io, "cannot set the file mode of #{path}", why: Exception.message(error))}
   end
 
   defp file(path), do: if(File.dir?(path), do: Path.join(path, @index), else: path)
 
-  # The files have their mode from the first moment on; the folder is empty until it has its own.
+  # Files are created with their mode, and the folder is still empty when its mode is set.
   defp restrict(path, mode) do
     wanted = entering(mode || @mode)
 
     with {:ok, %{mode: now}} <- File.stat(path),
-         # Without a mode of its own the process's mask holds, too.
+         # Without an explicit mode, the process's file mode mask also applies.
          :ok <- File.chmod(path, if(mode, do: wanted, else: Bitwise.band(now, wanted))) do
       :ok
     else
@@ -75,7 +76,7 @@ defmodule Situ.Store.Folder do
     end
   end
 
-  # Who reads a folder's files has to enter it.
+  # Reading a file in a folder requires search permission on the folder.
   defp entering(mode), do: Bitwise.bor(mode, Bitwise.bsr(Bitwise.band(mode, 0o444), 2))
 
   defp check_mode(nil), do: :ok
@@ -83,8 +84,8 @@ defmodule Situ.Store.Folder do
 
   defp check_mode(mode) do
     {:error,
-     Error.new(:bad_mode, "no recording can have the mode 0o#{Integer.to_string(mode, 8)}",
-       why: "its owner has to read and write it, and a mode has nine bits",
+     Error.new(:bad_mode, "invalid file mode 0o#{Integer.to_string(mode, 8)}",
+       why: "a mode has nine bits, and the owner must be able to read and write",
        fix: "use 0o600, 0o640, 0o644, 0o660 ..."
      )}
   end
@@ -93,8 +94,8 @@ defmodule Situ.Store.Folder do
     cond do
       store?(root) ->
         {:error,
-         Error.new(:store_exists, "there is a store in #{root} already",
-           fix: "leave `versioned: true`, or choose another folder"
+         Error.new(:store_exists, "#{root} already contains a store",
+           fix: "keep `versioned: true`, or choose another folder"
          )}
 
       true ->
@@ -106,7 +107,7 @@ defmodule Situ.Store.Folder do
     path = Path.join(root, "#{name}.#{pad(version)}")
 
     with :ok <- parent(Path.dirname(path)),
-         # Another process took this number: the next one is ours.
+         # Another process took this number, so try the next one.
          {:error, :eexist} <- File.mkdir(path),
          true <- File.dir?(Path.dirname(path)) do
       create_version(name, root, version + 1)
@@ -116,18 +117,18 @@ defmodule Situ.Store.Folder do
     end
   end
 
-  # A file in the place of the folder gives "exists", which does not help anybody.
+  # If the path is a file, "not a directory" is more helpful than "exists".
   defp parent(path) do
     with {:error, :eexist} <- AtomicFile.make_folder(path), do: {:error, :enotdir}
   end
 
-  @doc "Makes the parent folders of a store that will be at `path`."
+  @doc "Creates the parent folders of a store at `path`."
   @spec make_parents(Path.t()) :: :ok | {:error, Error.t()}
   def make_parents(path) do
     with {:ok, _} <- mkdir(Path.dirname(path), fn -> parent(Path.dirname(path)) end), do: :ok
   end
 
-  @doc "Gives a finished store the name of the next version of `name` below `root`, in one step: `{:ok, path}`."
+  @doc "Renames a finished store to the next version of `name` in `root`, in one step: `{:ok, path}`."
   @spec place_version(Path.t(), String.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def place_version(from, name, root) do
     with :ok <- check_name(name),
@@ -142,7 +143,7 @@ defmodule Situ.Store.Folder do
         AtomicFile.sync_folder(root)
         {:ok, path}
 
-      # Another process took this number: the next one is ours.
+      # Another process took this number, so try the next one.
       :exists ->
         place_version(from, name, root, version + 1)
 
@@ -154,17 +155,17 @@ defmodule Situ.Store.Folder do
     end
   end
 
-  # An empty folder keeps the name for us until the store takes its place.
+  # An empty folder reserves the name until the store replaces it.
   defp place_over(from, name, root) do
     with {:ok, path} <- create_version(name, root, next(name, root)) do
       case AtomicFile.rename(from, path) do
         :ok -> {:ok, path}
-        {:error, reason} -> {:error, io_error("give #{from} its name", reason)}
+        {:error, reason} -> {:error, io_error("rename #{from}", reason)}
       end
     end
   end
 
-  @doc "An error of an operation on files: `what` could not be done."
+  @doc "Returns the error for a file operation, where `what` is the operation that failed."
   @spec io_error(String.t(), File.posix()) :: Error.t()
   def io_error(what, reason) do
     Error.new(code(reason), "cannot #{what}",
@@ -180,7 +181,7 @@ defmodule Situ.Store.Folder do
 
       {:error, reason} ->
         {:error,
-         Error.new(code(reason), "cannot make the folder #{path}",
+         Error.new(code(reason), "cannot create the folder #{path}",
            why: to_string(:file.format_error(reason)),
            fix: "check the path and its permissions"
          )}
@@ -191,7 +192,7 @@ defmodule Situ.Store.Folder do
   defp code(:enospc), do: :disk_full
   defp code(_), do: :io
 
-  @doc "The folder of the newest version of `name` below `root`, or `nil`."
+  @doc "Returns the folder of the newest version of `name` in `root`, or `nil`."
   @spec newest(String.t(), Path.t()) :: Path.t() | nil
   def newest(name, root) do
     case versions(name, root) do
@@ -200,20 +201,20 @@ defmodule Situ.Store.Folder do
     end
   end
 
-  # A writer that was killed before it had a file leaves an empty folder. It must not hide an older recording.
+  # A writer that was killed before it created a file leaves an empty folder, which must not hide an older recording.
   defp newest_of(versions, name, root) do
     paths = for version <- versions, do: Path.join(root, "#{name}.#{pad(version)}")
     Enum.find(paths, hd(paths), &(File.ls(&1) != {:ok, []}))
   end
 
-  @doc "The folders of all versions of `name` below `root`, oldest first."
+  @doc "Lists the folders of all versions of `name` in `root`, oldest first."
   @spec list_versions(String.t(), Path.t()) :: [Path.t()]
   def list_versions(name, root) do
     for version <- name |> versions(root) |> Enum.sort(),
         do: Path.join(root, "#{name}.#{pad(version)}")
   end
 
-  @doc "The bytes of a store's files, including bytes allocated for later messages."
+  @doc "Returns the total size of a store's files in bytes, including space allocated for later messages."
   @spec size(Path.t()) :: non_neg_integer()
   def size(path) do
     for file <- ls(path),
@@ -231,13 +232,13 @@ defmodule Situ.Store.Folder do
     end
   end
 
-  @doc "The store that `path` means: the folder itself, or the newest version of its last name."
+  @doc "Returns the store at `path`, which is the folder itself or the newest version of that name, or `nil`."
   @spec resolve(Path.t()) :: Path.t() | nil
   def resolve(path) do
     if store?(path), do: path, else: newest(Path.basename(path), Path.dirname(path))
   end
 
-  @doc "All stores below `root`, by path; foreign ones that are folders too."
+  @doc "Lists all stores in `root`, sorted by path, including external recordings that are folders."
   @spec all(Path.t(), boolean()) :: [Path.t()]
   def all(root, recursive?) do
     case File.ls(root) do
@@ -260,7 +261,7 @@ defmodule Situ.Store.Folder do
     end
   end
 
-  @doc "Deletes a store's files, and its folder when nothing else is in it."
+  @doc "Deletes a store's files, and also its folder if it contains nothing else."
   @spec remove(Path.t()) :: :ok | {:error, Error.t()}
   def remove(folder) do
     folder
@@ -271,7 +272,7 @@ defmodule Situ.Store.Folder do
     )
     |> Enum.each(&File.rm!(Path.join(folder, &1)))
 
-    # Someone's notes beside the recording stay, and with them the folder.
+    # The folder remains if it contains other files, such as a user's notes.
     _ = File.rmdir(folder)
     :ok
   rescue
@@ -279,13 +280,13 @@ defmodule Situ.Store.Folder do
       {:error, Error.new(:io, "cannot delete #{folder}", why: Exception.message(error))}
   end
 
-  @doc "The store's name as its folder has it."
+  @doc "Returns the store's name according to its folder."
   @spec name(Path.t()) :: String.t()
   def name(path), do: path |> Path.basename() |> String.replace(~r/\.\d{4,}$/, "")
 
   @doc """
-  The current name of the store in a folder; `made_as` is the name that its catalog has from when it was made. A folder
-  NAME.NNNN may have been renamed since, so its own name counts. Any other folder says nothing about the name.
+  Returns the current name of the store in a folder. `made_as` is the original name from its catalog. A folder NAME.NNNN
+  may have been renamed since, so its own name takes precedence. Other folder names say nothing about the store's name.
   """
   @spec own_name(Path.t(), term()) :: String.t()
   def own_name(path, made_as) do
@@ -294,7 +295,7 @@ defmodule Situ.Store.Folder do
       else: made_as
   end
 
-  @doc "The version number of a store's folder, or `nil`."
+  @doc "Returns the version number of a store's folder, or `nil`."
   @spec version(Path.t()) :: non_neg_integer() | nil
   def version(path) do
     case Regex.run(~r/\.(\d{4,})$/, Path.basename(path)) do
@@ -322,14 +323,14 @@ defmodule Situ.Store.Folder do
 
   defp pad(version), do: version |> Integer.to_string() |> String.pad_leading(4, "0")
 
-  @doc "Whether a store can have this name."
+  @doc "Checks whether a store can have this name."
   @spec check_name(term()) :: :ok | {:error, Error.t()}
   def check_name(name) do
     if is_binary(name) and name =~ ~r/\A[^\/\0]{1,200}\z/ and name not in [".", ".."] do
       :ok
     else
       {:error,
-       Error.new(:bad_name, "not a name for a store: #{inspect(name)}",
+       Error.new(:bad_name, "invalid store name: #{inspect(name)}",
          fix: "use 1 to 200 characters without \"/\""
        )}
     end

@@ -1,13 +1,13 @@
 defmodule Situ.Store.Formats do
   @moduledoc """
-  The readers of foreign files, found by a file's extension.
+  Finds the readers of external files by file extension.
 
-  First come those named in the configuration,
+  Readers named in the configuration come first:
 
       config :situ_store, readers: [MyFormat]
 
-  then those that a loaded application brings (`env: [store_readers: [MyFormat]]` in `application/0` of its
-  `mix.exs`). This application brings CSV; `situ_media` brings WAV and everything FFmpeg reads.
+  Readers provided by loaded applications (`env: [store_readers: [MyFormat]]` in `application/0` of the application's
+  `mix.exs`) come next. This application provides CSV; `situ_media` provides WAV and all formats that FFmpeg reads.
 
       iex> Situ.Store.Formats.for_file("walk/imu.CSV")
       Situ.Store.Csv
@@ -15,14 +15,14 @@ defmodule Situ.Store.Formats do
       nil
   """
 
-  @doc "The `Situ.Store.Reader` for a file, or `nil`."
+  @doc "Returns the `Situ.Store.Reader` for a file, or `nil`."
   @spec for_file(Path.t()) :: module() | nil
   def for_file(path) do
     extension = path |> Path.extname() |> String.downcase()
     Enum.find(all(), &(extension in &1.extensions()))
   end
 
-  @doc "The reader whose recordings are folders and what `path` means to it, or `nil`."
+  @doc "Returns the reader of a recording that is a folder, with the folder that `path` resolves to, or `nil`."
   @spec for_folder(Path.t()) :: {module(), Path.t()} | nil
   def for_folder(path) do
     Enum.find_value(of_folders(), fn reader ->
@@ -31,7 +31,7 @@ defmodule Situ.Store.Formats do
     end)
   end
 
-  @doc "The foreign recordings that lie in this very folder, or at this address."
+  @doc "Lists the external recordings directly in this folder, or at this address."
   @spec within(Path.t()) :: [Path.t()]
   def within(folder) do
     case for_address(folder) do
@@ -41,7 +41,7 @@ defmodule Situ.Store.Formats do
   end
 
   @doc """
-  The reader of an address (`situ://lab1/lobby`), or `nil`: a path of this machine has none.
+  Returns the reader of an address (`situ://lab1/lobby`), or `nil` for a local path.
 
       iex> Situ.Store.Formats.for_address("recordings/lobby")
       nil
@@ -59,7 +59,7 @@ defmodule Situ.Store.Formats do
     do: Enum.filter(all(), &(Code.ensure_loaded?(&1) and function_exported?(&1, :schemes, 0)))
 
   @doc """
-  A path from the root on, as `Path.expand/1` has it; an address stays as it is.
+  Expands a path like `Path.expand/1`. Addresses are returned unchanged.
 
       iex> Situ.Store.Formats.expand("/recordings/../lobby")
       "/lobby"
@@ -70,7 +70,7 @@ defmodule Situ.Store.Formats do
   defp of_folders,
     do: Enum.filter(all(), &(Code.ensure_loaded?(&1) and function_exported?(&1, :resolve, 1)))
 
-  @doc "Every known reader."
+  @doc "Lists all known readers."
   @spec all() :: [module()]
   def all do
     brought =

@@ -1,24 +1,25 @@
 defmodule Situ.Store.Importer do
   @moduledoc """
-  A store being replayed by a pipeline: what `Situ.Store.importer/3` returns and `Situ.Store.stream/3` takes.
+  A store that a pipeline replays, created by `Situ.Store.importer/3` and passed to `Situ.Store.stream/3`.
 
-  All importers of a pipeline run on its clock: an interval and a speed are the pipeline's (`pipeline: [replay:
-  [interval: {from, to}, speed: 4.0]]`), `Situ.Pipeline.pause/1`, `resume/1` and `set_speed/2` act on all of them;
+  All importers of a pipeline use its clock. The interval and speed belong to the pipeline (`pipeline: [replay:
+  [interval: {from, to}, speed: 4.0]]`), and `Situ.Pipeline.pause/1`, `resume/1` and `set_speed/2` affect all importers.
   `seek/2` and `step/1` move one importer (and the clock).
 
-  ## Seeking, and what happens to time
+  ## Seeking and time
 
-  Originating times of a stream only increase, and a pipeline's clock never goes back. So a replay is a row of
-  *epochs*: in each, a message's time in the pipeline is its recorded time plus the epoch's shift, 0 at first. A seek
-  beyond everything that was handed to the pipeline stays in the epoch, and the clock jumps there. Any other (back, or
-  within the few messages per stream that the pipeline was handed ahead of its clock) begins a new one: the messages
-  from the sought time on come again, with times that begin 1 ms after the latest one handed out; creation times move
-  along, so latencies stay those of the recording. A loop does the same at the recording's end, and with one every
-  seek begins an epoch. `position/1` tells the recorded time that is played.
+  Originating times of a stream only increase, and a pipeline's clock never goes back. Therefore a replay consists of
+  *epochs*. Within an epoch, a message's pipeline time is its recorded time plus the epoch's shift, which is 0 at first.
+  A seek to a time after all messages handed to the pipeline stays in the epoch, and the clock jumps to that time. Any
+  other seek (back, or into the few messages per stream that the pipeline received ahead of its clock) begins a new
+  epoch. The messages from the requested time on are replayed again, with times that begin 1 ms after the latest time
+  handed out. Creation times are shifted as well, so latencies stay as recorded. A loop does the same at the end of the
+  recording, and in a loop every seek begins a new epoch. `position/1` returns the recorded time at the clock's
+  position.
 
-  To what comes out it looks as if the recording contained the part again: fusion and windows go on over the seam, as
-  they would over a gap. A stream that has ended stays ended; with `keep_open: true` streams wait at their ends to be
-  sought.
+  To the components downstream, the recording appears to contain the part twice. Fusion and windows continue across the
+  seam as they would across a gap. A stream that has ended stays ended; with `keep_open: true`, streams at their end
+  wait for a seek.
   """
   alias Situ.{Clock, Error, Pipeline}
   alias Situ.Store.{Evolution, Handle, Playhead, Reading, Source, StreamInfo}
@@ -28,27 +29,27 @@ defmodule Situ.Store.Importer do
       type: {:or, [:boolean, :pos_integer]},
       default: false,
       doc:
-        "Start over at the end, times shifted by the store's span and 1 ms, or by this period (ns)."
+        "Start over at the end, with times shifted by the store's time span plus 1 ms, or by this period (ns)."
     ],
     keep_open: [
       type: :boolean,
       default: false,
       doc:
-        "Wait at the end for a seek, as a player does; the pipeline then runs until it is stopped."
+        "Wait at the end for a seek, as a player does. The pipeline then runs until it is stopped."
     ],
     skip_damage: [
       type: :boolean,
       default: false,
-      doc: "Go on behind damaged parts; else they are an error of the pipeline."
+      doc: "Skip damaged parts. Otherwise they cause an error in the pipeline."
     ],
-    verify: [type: {:in, [:all, :small]}, default: :all, doc: "As `Situ.Store.open/2`."]
+    verify: [type: {:in, [:all, :small]}, default: :all, doc: "See `Situ.Store.open/2`."]
   ]
   @stream_options [
-    type: [type: :any, doc: "The type wanted; the recorded one must fit."],
+    type: [type: :any, doc: "The requested type, which the recorded type must match."],
     or_empty: [
       type: :boolean,
       default: false,
-      doc: "A stream without messages when it is missing."
+      doc: "Return a stream without messages if the store has no stream of this name."
     ],
     name: [type: :string, doc: "The component's name."]
   ]
@@ -86,7 +87,7 @@ defmodule Situ.Store.Importer do
     end
   end
 
-  # Each round begins behind the one before it.
+  # Each round must begin after the previous one.
   defp period(p, store, ns) do
     {from, _} = Pipeline.replay_interval(p)
 
@@ -95,8 +96,8 @@ defmodule Situ.Store.Importer do
          true <- ns <= span do
       raise Error.new(:bad_option, "a loop of #{Situ.Time.format_duration(ns)} is too short",
               why:
-                "the interval played of #{store.path} spans #{Situ.Time.format_duration(span)}",
-              fix: "give more than that, or loop: true"
+                "the replayed interval of #{store.path} spans #{Situ.Time.format_duration(span)}",
+              fix: "pass a longer period, or `loop: true`"
             )
     end
 
@@ -139,7 +140,7 @@ defmodule Situ.Store.Importer do
     named(importer.pipeline, source_opts, outputs, name, if(opts[:name], do: nil, else: 2))
   end
 
-  # Streams of several stores often have the same name: the later ones get a number.
+  # Streams of several stores often have the same name, so a number is appended to later ones.
   defp named(p, source_opts, outputs, name, next) do
     Situ.source(p, Source, [name: name, outputs: outputs] ++ source_opts)
   rescue
@@ -162,10 +163,11 @@ defmodule Situ.Store.Importer do
   end
 
   @doc """
-  Goes on at the recorded `time`, forward or back; the pipeline's clock jumps along, paused or not. A few messages per
-  stream that were already handed to the pipeline still come before. See above for what the times become.
+  Continues at the recorded `time`, forward or back. The pipeline's clock jumps as well, whether it is paused or not. A
+  few messages per stream that the pipeline already received are still delivered first. The section on seeking in the
+  module documentation explains how times are shifted.
 
-  Errors: `:fixed_clock` when the pipeline runs on the wall clock.
+  Returns the error `:fixed_clock` if the pipeline runs on the wall clock.
   """
   @spec seek(t(), Situ.Time.t()) :: :ok | {:error, Error.t()}
   def seek(%__MODULE__{} = importer, time) when is_integer(time) do
@@ -175,7 +177,7 @@ defmodule Situ.Store.Importer do
       {:error,
        Error.new(:fixed_clock, "a pipeline on the wall clock cannot seek",
          why: "only replayed (virtual) time can jump",
-         fix: "start it with a replay interval, or with clock: Situ.Clock.virtual(start)"
+         fix: "start it with a replay interval or with `clock: Situ.Clock.virtual(start)`"
        )}
     else
       anew? = importer.period != nil
@@ -183,7 +185,7 @@ defmodule Situ.Store.Importer do
     end
   end
 
-  @doc "The recorded time that the pipeline's clock stands at. In a loop it goes on counting."
+  @doc "Returns the recorded time at the position of the pipeline's clock. In a loop it keeps increasing."
   @spec position(t()) :: Situ.Time.t()
   def position(%__MODULE__{} = importer) do
     {_version, _time, shift} = Playhead.view(importer.head)
@@ -191,8 +193,8 @@ defmodule Situ.Store.Importer do
   end
 
   @doc """
-  Lets the clock, paused or not, jump to the next message of any stream of the store: `{:ok, time}` with its recorded
-  time, or `{:ok, nil}` at the end.
+  Advances the clock, whether it is paused or not, to the next message of any stream of the store. Returns `{:ok, time}`
+  with the message's recorded time, or `{:ok, nil}` at the end.
   """
   @spec step(t()) :: {:ok, Situ.Time.t() | nil} | {:error, Error.t()}
   def step(%__MODULE__{} = importer) do

@@ -1,11 +1,11 @@
 defmodule Situ.Store.Keys do
   @moduledoc """
-  The component behind `Situ.Store.write/4` with `keys: true`: which keys the maps of a stream have had.
+  The component of `Situ.Store.write/4` with `keys: true`. It collects the keys of a stream's maps.
 
-  They stand in the stream's metadata under `"keys"`, sorted, beside what was given as `metadata:` (a map): whoever
-  opens the recording knows what to offer (a line for each tracked person) without reading it. They are noted whenever
-  their number has doubled, and when the stream closes; a recording whose writer was killed has those of the last
-  note. Messages that are no maps are passed over.
+  The sorted keys are stored in the stream's metadata under `"keys"`, in addition to the `metadata:` map. A viewer can
+  then offer the keys (such as a line for each tracked person) without reading the recording. The keys are saved each
+  time their number has doubled and when the stream closes. If the writer was killed, the metadata contains the last
+  saved keys. Messages that are not maps are ignored.
   """
   use Situ.Component,
     inputs: [in: :any],
@@ -50,7 +50,7 @@ defmodule Situ.Store.Keys do
   def terminate(_reason, state), do: SharedWriter.leave(state.shared)
 
   @impl true
-  def describe(state), do: "notes the keys of #{state.stream.name}"
+  def describe(state), do: "records the keys of #{state.stream.name}"
 
   defp note(%{keys: keys, noted: noted} = state) do
     if MapSet.size(keys) == noted do

@@ -1,6 +1,6 @@
 defmodule Situ.Store.Local do
   @moduledoc false
-  # Situ's own stores behind the reader behaviour.
+  # Implements the reader behaviour for Situ's own stores.
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, Message}
@@ -22,7 +22,7 @@ defmodule Situ.Store.Local do
 
   @read_bytes 4 * 1024 * 1024
 
-  # No two times are further apart than this.
+  # The largest possible difference between two times.
   @longest 0x7FFFFFFFFFFFFFFF
 
   @impl true
@@ -39,11 +39,11 @@ defmodule Situ.Store.Local do
     end
   end
 
-  # The folder was found by its data.
+  # The folder contains data files, so it is a store without its index.
   defp lost({:error, :no_store}), do: {:error, :index_lost}
   defp lost(result), do: result
 
-  # Takes in the entries published since, for the next question about counts.
+  # Loads the entries published since the last refresh, so that counts are current.
   defp refresh(state) do
     with :slow <- Native.reader_refresh(state.ref), do: Native.reader_refresh_all(state.ref)
   end
@@ -201,7 +201,7 @@ defmodule Situ.Store.Local do
     }
   end
 
-  # Five elements tell that the data are no plain term.
+  # Tuples of five elements contain data that could not be decoded as a plain term.
   defp message({sequence, time, creation, :undecodable, reason}, id),
     do: message({sequence, time, creation, %Undecoded{reason: reason}}, id)
 
@@ -219,7 +219,7 @@ defmodule Situ.Store.Local do
   end
 
   defp decode(nil, name, bytes) do
-    why = "no module here has the codec #{inspect(name)}"
+    why = "no module in this system implements the codec #{inspect(name)}"
     %Undecoded{codec: name, bytes: bytes, reason: why}
   end
 
@@ -270,7 +270,7 @@ defmodule Situ.Store.Local do
          do: {:ok, counts, tracks}
   end
 
-  # The signal inside of messages is made by their codec where the stored one is too coarse.
+  # Where the stored signal is too coarse, the codec computes the signal within messages.
   defp sound(_state, %{codecs: codecs}, tracks, _from, _to, _level) when map_size(codecs) == 0,
     do: {:ok, tracks}
 
@@ -285,8 +285,8 @@ defmodule Situ.Store.Local do
   defp behind([], from, _level), do: from
   defp behind(bins, _from, level), do: elem(List.last(bins), 0) + Bitwise.bsl(1, level)
 
-  # Finer than the stored pyramid, or behind it while it is written: the codec's own points. A message may speak of
-  # the second before its time (sound is stamped with its end).
+  # The codec computes points that are finer than the stored pyramid or not in it yet. A message may describe the second
+  # before its time, because audio is timestamped with its end.
   defp codec_summary(_state, %{last: last}, from, _to, _level) when last == nil or from > last,
     do: {:ok, []}
 
@@ -316,9 +316,9 @@ defmodule Situ.Store.Local do
       else:
         raise(
           Error.new(:no_thread, "cannot wait for the writer of #{state.path}",
-            why: "the system has no thread left",
+            why: "the operating system cannot create another thread",
             fix:
-              "raise the limit of threads (`ulimit -u`), or open fewer stores that are being written"
+              "raise the thread limit (`ulimit -u`), or open fewer stores that are being written"
           )
         )
   end

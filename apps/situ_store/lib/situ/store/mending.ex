@@ -1,22 +1,22 @@
 defmodule Situ.Store.Mending do
   @moduledoc """
-  Checking, mending, deleting and renaming stores. Called through `Situ.Store`.
+  Verifies, repairs, deletes and renames stores. Called through `Situ.Store`.
   """
   alias Situ.Error
   alias Situ.Store.{Failure, Folder, Handle, Local, Native, Reading, Replacement}
 
-  @typedoc "A wrong place: the file, the byte, and what is wrong there."
+  @typedoc "A damaged position: the file, the byte offset, and a description of the damage."
   @type damage :: %{file: String.t(), offset: non_neg_integer(), why: String.t()}
 
-  @progress [type: {:fun, 2}, doc: "`fun.(done, total)`, called as it goes."]
+  @progress [type: {:fun, 2}, doc: "Called repeatedly as `fun.(done, total)`."]
   @verify_options [progress: @progress]
   @repair_options [
-    dry_run: [type: :boolean, default: false, doc: "Only tell what would be done."],
+    dry_run: [type: :boolean, default: false, doc: "Only report the changes without making them."],
     progress: @progress
   ]
 
   @doc """
-  Reads everything and checks every checksum: `{:ok, %{chunks, damage}}`.
+  Reads the complete store and verifies all checksums: `{:ok, %{chunks, damage}}`.
 
   #{Situ.Options.docs(@verify_options)}
   """
@@ -38,18 +38,18 @@ defmodule Situ.Store.Mending do
   defp ours(%Handle{module: Local}), do: :ok
 
   defp ours(store),
-    do: {:error, Error.new(:not_a_store, "#{store.path} is a foreign file, not a store")}
+    do: {:error, Error.new(:not_a_store, "#{store.path} is an external file, not a store")}
 
   @doc """
-  Makes a store whole that was not closed or is damaged: `{:ok, report}` with `kept`, `dropped`, `recovered`,
-  `unconfirmed`, `rebuilt?` and `damage`.
+  Repairs a store that was not closed or is damaged: `{:ok, report}` with `kept`, `dropped`, `recovered`, `unconfirmed`,
+  `rebuilt?` and `damage`.
 
-  A sound store that was merely not closed is cut to size and marked closed. Every chunk that could be read before is
-  kept. Where the index is damaged or lost, its places are filled from the data with the chunks that are known to have
-  been committed (`recovered`); chunks that are damaged themselves are left out (`dropped`). If the whole index is
-  lost, nothing shows that the last commit of a killed writer was acknowledged, so it is left out (`unconfirmed`). The
-  data files are not rewritten, but for the header of an extent when that is damaged; the old index stays as
-  `index.situ.before-repair`, with a number where there is one already.
+  An intact store that was merely not closed is trimmed and marked as closed. All readable chunks are kept. Where the
+  index is damaged or lost, it is rebuilt from the data, using only chunks that are known to have been committed
+  (`recovered`). Damaged chunks are removed (`dropped`). If the whole index is lost, there is no evidence that the last
+  commit of a killed writer was acknowledged, so that commit is removed (`unconfirmed`). Data files are not rewritten,
+  except for damaged extent headers. The old index is kept as `index.situ.before-repair`, with a number appended if that
+  file exists.
 
   #{Situ.Options.docs(@repair_options)}
   """
@@ -73,7 +73,7 @@ defmodule Situ.Store.Mending do
     end
   end
 
-  # A killed compaction may have left the store under another name.
+  # An interrupted compaction may have left the store under another name.
   defp find_to_repair(path, dry?) do
     case {Folder.resolve(path), Replacement.find_interrupted(path)} do
       {nil, nil} -> {:ok, path}
@@ -83,7 +83,7 @@ defmodule Situ.Store.Mending do
     end
   end
 
-  # The native side works in a process of its own and sends how far it is.
+  # Native code runs in a separate process and sends its progress.
   defp mend(folder, dry?, progress) do
     {parent, tag} = {self(), make_ref()}
     task = Task.async(fn -> Native.store_repair(folder, dry?, parent, tag) end)
@@ -105,7 +105,7 @@ defmodule Situ.Store.Mending do
     end
   end
 
-  @doc "Deletes a store's files, and its folder when nothing else is in it. Not while it is being written."
+  @doc "Deletes a store's files, and its folder if it contains nothing else. Fails while the store is being written."
   @spec delete(Path.t()) :: :ok | {:error, Error.t()}
   def delete(path) do
     with {:ok, folder} <- resolve(path),
@@ -113,7 +113,7 @@ defmodule Situ.Store.Mending do
          do: Folder.remove(folder)
   end
 
-  @doc "Gives a store another name (its folder's, keeping the version number): `{:ok, new_path}`."
+  @doc "Renames a store (its folder, keeping the version number): `{:ok, new_path}`."
   @spec rename(Path.t(), String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def rename(path, name) do
     with {:ok, folder} <- resolve(path),
@@ -133,7 +133,7 @@ defmodule Situ.Store.Mending do
       {:ok, store} ->
         if Reading.live?(store), do: {:error, Failure.error(:locked, folder)}, else: :ok
 
-      # Damaged or not ours to read: no reason to keep it.
+      # The store is damaged or not readable, which must not prevent its deletion.
       {:error, _} ->
         :ok
     end

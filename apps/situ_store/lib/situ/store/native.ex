@@ -1,6 +1,6 @@
 defmodule Situ.Store.Native do
   @moduledoc false
-  # The functions of native/situ_store_nif. Everything else talks to Writer and Local.
+  # The functions of native/situ_store_nif. Only Writer, Local and a few low-level modules call it.
 
   @on_load :load
 
@@ -9,7 +9,7 @@ defmodule Situ.Store.Native do
     :erlang.load_nif(path, 0)
   end
 
-  @doc "Chunks in memory are read here and now; those that wait for the disk, or take long, on a dirty scheduler."
+  @doc "Reads cached chunks on the current scheduler, and slow chunks or chunks on disk on a dirty scheduler."
   def read(ref, id, ordinal, to, limit, bytes) do
     with :slow <- reader_read_quick(ref, id, ordinal, to, limit, bytes),
          do: reader_read(ref, id, ordinal, to, limit, bytes)

@@ -1,12 +1,14 @@
 defmodule Situ.Store.Pieces do
   @moduledoc false
-  # A long recording in pieces: a store (the next version of its name) for each stretch of originating time, cut by
-  # time or by size (`Situ.Store.Pieces.Cut`). One process hands the pieces to the components that write; it ends with
-  # the pipeline. Every piece is a whole store, so what a kill or a power cut finds is what it would find of any.
+  # Splits a long recording into segments. Each segment is a store (the next version of the recording's name) for a span
+  # of originating time, split by time or by size (`Situ.Store.Pieces.Cut`). One process provides the segments to the
+  # components that write, and ends with the pipeline. Every segment is a complete store, so a kill or a power failure
+  # has the same effect as on any other store.
   #
-  # Streams do not run abreast: the piece before the newest stays open for those that are behind. A message later still
-  # goes into the oldest open one. Pieces that `keep:` has no room for are deleted, the oldest first: those made here
-  # and those of earlier runs of the recorder (`Situ.Store.Pieces.EarlierRuns`), but no other recording of that name.
+  # Streams do not advance in lockstep, so the segment before the newest stays open for slower streams. Messages for
+  # older segments go into the oldest open one. When `keep:` is exceeded, the oldest segments are deleted. These are
+  # segments of this run and of earlier runs of the recorder (`Situ.Store.Pieces.EarlierRuns`), but never other
+  # recordings of that name.
   use GenServer
   alias Situ.Store.{Folder, Mending, Writer}
   alias Situ.Store.Pieces.{Cut, EarlierRuns, Retention}
@@ -14,8 +16,9 @@ defmodule Situ.Store.Pieces do
 
   @type keep :: nil | {:span, Situ.Time.duration()} | {:bytes, pos_integer()}
 
-  # `open`, the pieces being written, by number; `closed`, the others, oldest first; of pieces cut by size `ended`, the
-  # times behind their latest messages. `jumped` is a piece that does not follow another, and the stream that began it.
+  # `open`: the segments being written, by number. `closed`: the other segments, oldest first. `ended`: for segments
+  # split by size, the time after their latest message. `jumped`: a segment that does not follow the previous one, and
+  # the stream that began it.
   defstruct [
     :name,
     :root,
@@ -30,23 +33,23 @@ defmodule Situ.Store.Pieces do
     jumped: nil
   ]
 
-  @doc "Linked to the caller, and gone when it is."
+  @doc "Starts the process, linked to the caller. It stops when the caller ends."
   @spec start_link({String.t(), Path.t(), keyword()}, Cut.t(), keep()) :: GenServer.on_start()
   def start_link({name, root, opts}, cut, keep),
     do: GenServer.start_link(__MODULE__, {name, root, opts, cut, keep, self()})
 
-  @doc "The stream `name` in the piece of this number, or in the oldest one that is open, and which that is."
+  @doc "Returns stream `name` in segment `number` (or in the oldest open segment), and that segment's number."
   @spec stream(GenServer.server(), integer(), String.t(), keyword()) ::
           {:ok, integer(), Writer.Stream.t()} | {:error, Situ.Error.t()}
   def stream(pieces, number, name, opts),
     do: GenServer.call(pieces, {:stream, number, name, opts}, :timer.minutes(1))
 
-  @doc "Messages up to `time` were appended to a piece: where that is cut by size, the next may have to begin."
+  @doc "Reports messages up to `time` in a segment. With splitting by size, this may begin the next segment."
   @spec appended(GenServer.server(), Cut.t(), integer(), Situ.Time.t()) :: :ok
   def appended(_pieces, %{newest: nil}, _number, _time), do: :ok
   def appended(pieces, _cut, number, time), do: GenServer.cast(pieces, {:appended, number, time})
 
-  @doc "Closes what is open."
+  @doc "Closes all open segments."
   @spec close(GenServer.server()) :: :ok
   def close(pieces), do: GenServer.stop(pieces, :normal, :timer.minutes(1))
 
@@ -88,11 +91,11 @@ defmodule Situ.Store.Pieces do
     newest = Cut.newest(state.cut)
 
     cond do
-      # After the latest message of all streams, so that everything in a piece is earlier than the next piece.
+      # Split after the latest message of all streams, so that all messages of a segment precede the next segment.
       number == newest and bytes >= most ->
         Cut.cut(state.cut, state.ended[number])
 
-      # One stream's times are far ahead of the others', which keep filling the piece that should have ended.
+      # One stream's times are far ahead of the others', which keep filling the segment that should have ended.
       number == newest - 1 and bytes >= most + div(most, 4) ->
         Cut.lower(state.cut, time + 1)
 
@@ -128,7 +131,7 @@ defmodule Situ.Store.Pieces do
       piece = %{
         writer: writer,
         path: writer.path,
-        # A piece that a stream has jumped to may be incomplete until another piece follows it.
+        # A segment that a stream has jumped to may be incomplete until another segment follows it.
         duration: if(jump?, do: 0, else: every),
         ended: nil,
         size: 0
@@ -156,7 +159,7 @@ defmodule Situ.Store.Pieces do
          do: {:ok, stream, %{state | streams: Map.put(state.streams, {number, name}, stream)}}
   end
 
-  # All but the two newest are closed.
+  # Closes all segments except the two newest.
   defp close_old(state) do
     done = state.open |> Map.keys() |> Enum.sort(:desc) |> Enum.drop(2)
     Enum.reduce(Enum.reverse(done), state, &close_piece/2)
@@ -164,7 +167,7 @@ defmodule Situ.Store.Pieces do
 
   defp close_piece(number, state) do
     {%{writer: writer} = piece, open} = Map.pop(state.open, number)
-    # A failure here only changes how much of the recording later runs keep.
+    # A failure here only affects how much of the recording later runs keep.
     _ = if piece.duration != 0, do: Writer.catalog(writer, %{kind: "piece", full: true})
     _ = Writer.close(writer)
 
@@ -188,21 +191,21 @@ defmodule Situ.Store.Pieces do
     {surplus, closed} =
       Enum.split(state.closed, Retention.count_surplus(state.keep, state.closed, open, now()))
 
-    # A piece that cannot be deleted, because another program writes it, is left to the next run.
+    # A segment that cannot be deleted because another program is writing it is left to the next run.
     for piece <- surplus, do: Mending.delete(piece.path)
     %{state | closed: closed}
   end
 
   defp now, do: System.monotonic_time(:nanosecond)
 
-  # Other streams still fill pieces before the one that a stream has jumped to, so its clock is likely wrong. After a
-  # gap of all streams they would not.
+  # Other streams still fill segments before the one that a stream has jumped to, so its clock is probably incorrect.
+  # After a gap in all streams, no stream would fill earlier segments.
   defp warn_of_jump(%{jumped: {jumped, name}, cut: %{every: every}} = state, number, other)
        when number < jumped and not is_map_key(state.open, number) and other != name do
     Logger.warning(
       "#{state.name}: #{inspect(name)} is #{Situ.Time.format_duration((jumped - number) * every)} " <>
-        "ahead of #{inspect(other)}: the originating times of one of them are likely wrong. Everything is recorded, " <>
-        "and `keep:` deletes nothing because of it."
+        "ahead of #{inspect(other)}: the originating times of one of them are probably incorrect. All data is " <>
+        "recorded, and `keep:` deletes nothing because of it."
     )
 
     %{state | jumped: nil}

@@ -1,12 +1,12 @@
 defmodule Situ.Store.Playhead do
   @moduledoc false
-  # The playing position of one importer's streams, shared by their processes: memory, no process.
+  # The playback position of one importer's streams, shared by their processes through atomics.
   #
-  # An epoch is a stretch of replay in which pipeline time = recorded time + shift. A seek beyond everything handed
-  # out so far stays in the epoch; any other begins a new one behind it, so that originating times go on increasing.
+  # An epoch is a span of replay in which pipeline time = recorded time + shift. A seek to a time after everything
+  # handed out so far stays in the epoch. Any other seek begins a new epoch, so that originating times keep increasing.
 
-  # Cells: 1 version (odd while a seek is under way), 2 the recorded time sought, 3 the shift, 4 the latest pipeline
-  # time handed out by any stream.
+  # Cells: 1 version (odd during a seek), 2 the recorded time of the seek, 3 the shift, 4 the latest pipeline time
+  # handed out by any stream.
   @nowhere -0x7FFFFFFFFFFFFFFF
   @gap 1_000_000
 
@@ -21,11 +21,11 @@ defmodule Situ.Store.Playhead do
     cells
   end
 
-  @doc "The version: changes with every seek."
+  @doc "Returns the version, which changes with every seek."
   @spec version(t()) :: non_neg_integer()
   def version(cells), do: :atomics.get(cells, 1)
 
-  @doc "The version, time and shift of the latest seek. Waits for a seek that is under way."
+  @doc "Returns the version, time and shift of the latest seek. Waits for a seek in progress."
   @spec view(t()) :: view()
   def view(cells) do
     version = version(cells)
@@ -40,10 +40,11 @@ defmodule Situ.Store.Playhead do
   end
 
   @doc """
-  Asks to hand out messages up to pipeline time `time`; `false` when a seek has come between: then they must not be.
+  Requests to hand out messages up to pipeline time `time`. Returns `false` if a seek has intervened; the messages must
+  then not be handed out.
 
-  The claim is noted before the version is read again, and a seek reads the claims after it has changed the version: one
-  of the two sees the other.
+  The claim is stored before the version is read again, and a seek reads the claims after it has changed the version. So
+  at least one of the two sees the other.
   """
   @spec claim(t(), Situ.Time.t(), non_neg_integer()) :: boolean()
   def claim(cells, time, version) do
@@ -60,8 +61,8 @@ defmodule Situ.Store.Playhead do
   end
 
   @doc """
-  Goes on at recorded time `time`; answers the pipeline time that is. `now` is the clock; `anew` begins a new epoch in
-  any case.
+  Continues at recorded time `time` and returns the corresponding pipeline time. `now` is the clock time. `anew` forces
+  a new epoch.
   """
   @spec seek(t(), Situ.Time.t(), Situ.Time.t(), boolean()) :: Situ.Time.t()
   def seek(cells, now, time, anew) do

@@ -1,54 +1,54 @@
 defmodule Situ.Store.Reader do
   @moduledoc """
-  The behaviour of a file format that opens, lists, seeks and replays like a store.
+  The behaviour of file formats that support opening, listing, seeking and replaying like a store.
 
-  Which file is read by which reader: `Situ.Store.Formats`.
+  `Situ.Store.Formats` chooses the reader for a file.
 
-  Messages of a stream are numbered 0, 1, 2 ... (ordinals). A reader meets untrusted bytes: it answers errors, makes no
-  atoms, and bounds what it allocates.
+  Messages of a stream are numbered 0, 1, 2 ... (ordinals). A reader processes untrusted bytes, so it must return
+  errors, create no atoms, and bound its memory use.
   """
   alias Situ.Store.StreamInfo
 
   @type state :: term()
   @type error :: {:error, Situ.Error.t()}
 
-  @doc "File name endings, lower case, with the dot."
+  @doc "Returns the file name extensions in lower case, with the dot."
   @callback extensions() :: [String.t()]
   @doc """
-  For recordings that lie elsewhere: how their addresses begin, `["situ"]` for `situ://...`. `open/2` and `within/1`
-  get the whole address.
+  Returns the schemes of addresses of remote recordings, such as `["situ"]` for `situ://...`. `open/2` and `within/1`
+  receive the complete address.
   """
   @callback schemes() :: [String.t()]
   @doc """
-  Where recordings are folders: the one that `path` means, a folder or the name of one, or `nil`. `open/2` gets the
-  answer.
+  Resolves `path`, a folder or the name of one, to a recording that is a folder, or returns `nil`. `open/2` receives the
+  result.
   """
   @callback resolve(Path.t()) :: Path.t() | nil
-  @doc "The recordings of this kind that lie in this very folder, as `resolve/1` has them."
+  @doc "Lists the recordings of this format directly in this folder, in the form that `resolve/1` returns."
   @callback within(folder :: Path.t()) :: [Path.t()]
-  @doc "Opens the file. Options are the reader's own."
+  @doc "Opens the file. The options are specific to the reader."
   @callback open(Path.t(), opts :: keyword()) :: {:ok, state()} | error()
   @doc """
-  `name`, `created` (ns or nil), `closed?`, `live?`, `damage` (a list of sentences, or of maps with `offset` and
+  Returns `name`, `created` (ns or nil), `closed?`, `live?`, `damage` (a list of sentences, or of maps with `offset` and
   `why`).
   """
   @callback info(state()) :: map()
   @doc """
-  The options for opening a recording that is copied into a store, so that nothing of it is lost. `times` chooses
-  between the stamps in headers and the times of recording.
+  Returns the options for opening a recording to copy it into a store without loss. `times` selects the timestamps in
+  headers or the times of recording.
   """
   @callback import_options(times :: :header | :record) :: keyword()
-  @doc "The streams there are now."
+  @doc "Returns the current streams."
   @callback streams(state()) :: [StreamInfo.t()]
-  @doc "One of them, found by its name without the others."
+  @doc "Returns one stream by name without loading the others."
   @callback stream_named(state(), String.t()) :: {:ok, StreamInfo.t()} | error()
-  @doc "The ordinal of the first message at or after `time`; the count when there is none."
+  @doc "Returns the ordinal of the first message at or after `time`, or the message count if there is none."
   @callback seek(state(), StreamInfo.t(), Situ.Time.t()) ::
               {:ok, non_neg_integer()} | error()
   @doc """
-  About `limit` messages from `ordinal` on that lie at or before `to`, and the ordinal to go on with. An empty list is
-  the end for now. `exact: true` asks for no more than `limit`; with `envelopes: true` nobody looks at the data, and a
-  reader that has to decode may leave it `nil`.
+  Reads about `limit` messages at or before `to`, starting at `ordinal`, and returns them with the next ordinal. An
+  empty list means that there are no more messages yet. `exact: true` requests at most `limit` messages. With
+  `envelopes: true`, the caller ignores the data, and a reader that would have to decode it may leave it `nil`.
   """
   @callback read(
               state(),
@@ -59,8 +59,9 @@ defmodule Situ.Store.Reader do
               opts :: keyword()
             ) :: {:ok, [Situ.Message.t()], non_neg_integer()} | error()
   @doc """
-  Plain numbers from `ordinal` on that lie at or before `to`, as columns of some thousand messages, and the ordinal to
-  go on with; `:others` where the next messages are no plain numbers, `:ended` where there are none.
+  Reads plain numbers at or before `to`, starting at `ordinal`, as columns of several thousand messages, and returns
+  them with the next ordinal. Returns `:others` if the next messages are not plain numbers, or `:ended` if there are
+  none.
   """
   @callback columns(state(), StreamInfo.t(), ordinal :: non_neg_integer(), to :: Situ.Time.t()) ::
               {:ok, Situ.Store.Columns.t(), non_neg_integer()} | :others | :ended | error()
@@ -74,10 +75,10 @@ defmodule Situ.Store.Reader do
               {from :: Situ.Time.t(), to :: Situ.Time.t()},
               (pos_integer() -> any())
             ) :: :ok | error()
-  @doc "Min/max/last/count bins: `{:ok, width_ns, [{start, min, max, last, count}]}`."
+  @doc "Returns min/max/last/count bins: `{:ok, width_ns, [{start, min, max, last, count}]}`."
   @callback summary(state(), StreamInfo.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
               {:ok, pos_integer(), [tuple()]} | error()
-  @doc "Counts and tracks in bins of 2^level ns: `{:ok, counts, tracks}` of a `Situ.Store.Summary`."
+  @doc "Returns counts and tracks in bins of 2^level ns: `{:ok, counts, tracks}` of a `Situ.Store.Summary`."
   @callback tracks(
               state(),
               StreamInfo.t(),
@@ -88,14 +89,14 @@ defmodule Situ.Store.Reader do
             ) ::
               {:ok, [{Situ.Time.t(), pos_integer()}], [{term(), Situ.Store.Summary.track()}]}
               | error()
-  @doc "Sends one `{:situ_store, tag, {:published | :ended, n}}` once there is more than `known`."
+  @doc "Sends one `{:situ_store, tag, {:published | :ended, n}}` when there are more than `known` entries."
   @callback await(state(), known :: non_neg_integer(), pid(), tag :: non_neg_integer()) :: :ok
-  @doc "The number of messages now, without the rest of `streams/1`."
+  @doc "Returns the current number of messages without the other statistics of `streams/1`."
   @callback count(state(), StreamInfo.t()) :: non_neg_integer()
-  @doc "Spans of at least `least` ns without a message."
+  @doc "Returns spans of at least `least` ns without a message."
   @callback gaps(state(), StreamInfo.t(), least :: Situ.Time.duration()) ::
               [{Situ.Time.t(), Situ.Time.t()}]
-  @doc "Files that belong to the recording and are not there."
+  @doc "Returns the files that belong to the recording but do not exist."
   @callback missing_files(state()) :: [String.t()]
 
   @optional_callbacks import_options: 1,

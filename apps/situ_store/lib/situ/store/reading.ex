@@ -9,53 +9,62 @@ defmodule Situ.Store.Reading do
       type: {:in, [:all, :small]},
       default: :all,
       doc:
-        "`:small` leaves out the checksums of large payloads (images): reading them costs no pass over the bytes."
+        "`:small` does not verify the checksums of large payloads (images), which makes reading them faster."
     ],
     max_unpacked: [
       type: :pos_integer,
       default: 64 * 1024 * 1024,
       doc:
-        "Compressed messages that take more bytes are an error: a small file may hold large ones."
+        "The size limit of decompressed messages in bytes, because a small file may contain very large ones."
     ],
-    reader: [type: :module, doc: "The `Situ.Store.Reader` to use, whatever the file's ending."],
-    reader_opts: [type: :keyword, default: [], doc: "That reader's own options."]
+    reader: [
+      type: :module,
+      doc: "The `Situ.Store.Reader` to use, regardless of the file extension."
+    ],
+    reader_opts: [type: :keyword, default: [], doc: "Options of that reader."]
   ]
 
   @envelopes [
     type: :boolean,
     default: false,
-    doc: "Leave the data `nil` where decoding it costs time."
+    doc: "Leave the data `nil` where decoding is expensive."
   ]
 
   @message_options [
     from: [type: {:optional, :integer}, doc: "The first originating time."],
     to: [
       type: {:or, [{:optional, :integer}, {:in, [:unbounded]}]},
-      doc: "The last one; both ends are included."
+      doc: "The last originating time (inclusive)."
     ],
     index: [
       type: {:optional, :integer},
-      doc: "Start at this ordinal; negative ones count from the end."
+      doc: "Start at this ordinal. A negative ordinal counts from the end."
     ],
     type: [
       type: :any,
       doc:
-        "The type wanted: a `Situ.Type` that fits the recorded one, or a struct whose fields " <>
-          "may have changed since (`Situ.Store.Evolution`)."
+        "The requested type: a `Situ.Type` that matches the recorded type, or a struct whose fields " <>
+          "may have changed since recording (`Situ.Store.Evolution`)."
     ],
     skip_damage: [
       type: :boolean,
       default: false,
-      doc: "Go on behind damaged chunks; else the `Situ.Error` is raised."
+      doc: "Skip damaged chunks. Otherwise the `Situ.Error` is raised."
     ],
     envelopes: @envelopes
   ]
 
   @read_options @message_options ++
-                  [limit: [type: :pos_integer, default: 1_000, doc: "At most so many messages."]]
+                  [
+                    limit: [
+                      type: :pos_integer,
+                      default: 1_000,
+                      doc: "The maximum number of messages."
+                    ]
+                  ]
   @at_options [envelopes: @envelopes]
 
-  # So many messages are read at once.
+  # The number of messages per read.
   @batch 1_000
 
   @type name :: String.t() | StreamInfo.t()
@@ -101,7 +110,7 @@ defmodule Situ.Store.Reading do
     end
   end
 
-  # A folder with a version's name whose store lost its files is still ours.
+  # A versioned folder that has lost its index and data files is still opened as a store, so that the error is specific.
   defp find_folder(path, folder) do
     case {Formats.for_folder(path), folder} do
       {{module, path}, _} -> {:ok, path, module}
@@ -123,8 +132,8 @@ defmodule Situ.Store.Reading do
 
       {:error,
        Error.new(:unknown_format, "no reader for #{path}",
-         why: "readers are known for #{known} and for store folders",
-         fix: "name one with `reader: Module`"
+         why: "there are readers for #{known} and for store folders",
+         fix: "specify one with `reader: Module`"
        )}
     else
       module -> {:ok, path, module}
@@ -204,7 +213,7 @@ defmodule Situ.Store.Reading do
     )
   end
 
-  @doc "The ordinal that reading by these options begins at."
+  @doc "Returns the ordinal at which reading with these options begins."
   @spec first_ordinal(Handle.t(), StreamInfo.t(), keyword()) :: non_neg_integer()
   def first_ordinal(store, info, opts) do
     cond do
@@ -284,12 +293,12 @@ defmodule Situ.Store.Reading do
          do: one(store, info, ordinal)
   end
 
-  @doc "The ordinal of the first message at or after `time`; the count when there is none."
+  @doc "Returns the ordinal of the first message at or after `time`, or the message count if there is none."
   @spec seek(Handle.t(), StreamInfo.t(), Situ.Time.t()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def seek(store, info, time), do: store.module.seek(store.state, info, time)
 
-  @doc "About `limit` messages from an ordinal on, and the ordinal to go on with; see `Situ.Store.Reader`."
+  @doc "Reads about `limit` messages from an ordinal on, and returns the next ordinal; see `Situ.Store.Reader`."
   @spec batch(
           Handle.t(),
           StreamInfo.t(),

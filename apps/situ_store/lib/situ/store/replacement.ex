@@ -1,8 +1,8 @@
 defmodule Situ.Store.Replacement do
   @moduledoc false
-  # Replaces a store by another. The two folders exchange their names in one step, if the file system can do that. On
-  # one that cannot, such as some network file systems, the old store is called NAME.before-compaction for a moment in
-  # which nothing has its name. `find_interrupted/1` finds a store that a killed program left so, `restore/1`
+  # Replaces a store with another. The two folders exchange their names in one step if the file system supports it. On
+  # other file systems, such as some network file systems, the old store is briefly named NAME.before-compaction and no
+  # store has its name. If a program was killed at that point, `find_interrupted/1` finds the store and `restore/1`
   # repairs it.
   alias Situ.Error
   alias Situ.Store.{AtomicFile, Failure, Folder, Native}
@@ -11,7 +11,7 @@ defmodule Situ.Store.Replacement do
   # Earlier releases kept the new store under this name.
   @compacted ".compacted"
 
-  @doc "Gives `fresh`, which is complete and on the disk, the name and mode of the store `folder`, then deletes it."
+  @doc "Replaces the store `folder` with `fresh`, which must be complete and on disk. Keeps its name and mode."
   @spec put(Path.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def put(fresh, folder) do
     with :ok <- Folder.keep_mode(fresh, folder),
@@ -22,7 +22,7 @@ defmodule Situ.Store.Replacement do
     end
   end
 
-  # A user's notes may be in the folder, too.
+  # The old folder may also contain a user's own files.
   defp keep_others(old, folder) do
     with {:ok, names} <- File.ls(old) do
       for name <- names, not File.exists?(Path.join(folder, name)) do
@@ -47,7 +47,7 @@ defmodule Situ.Store.Replacement do
     end
   end
 
-  @doc "Replaces `folder` by two renames, on file systems that cannot exchange names. Returns the old store's new path."
+  @doc "Replaces `folder` with two renames, for file systems without an exchange. Returns the old store's new path."
   @spec rename_both(Path.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def rename_both(fresh, folder) do
     with :ok <- AtomicFile.rename(folder, folder <> @before),
@@ -56,11 +56,11 @@ defmodule Situ.Store.Replacement do
     else
       {:error, reason} ->
         _ = if not File.exists?(folder), do: File.rename(folder <> @before, folder)
-        {:error, Folder.io_error("put #{fresh} in the place of #{folder}", reason)}
+        {:error, Folder.io_error("replace #{folder} with #{fresh}", reason)}
     end
   end
 
-  @doc "Returns the store whose replacement was interrupted, by its proper name: `path`, or the newest version of it."
+  @doc "Returns the store whose replacement was interrupted, by its original name: `path` or its newest version."
   @spec find_interrupted(Path.t()) :: Path.t() | nil
   def find_interrupted(path) do
     [path | versions(Path.dirname(path), Path.basename(path))]
@@ -81,12 +81,12 @@ defmodule Situ.Store.Replacement do
     end
   end
 
-  @doc "Gives the store its proper name again."
+  @doc "Restores the store's original name."
   @spec restore(Path.t()) :: :ok | {:error, Error.t()}
   def restore(folder) do
     case AtomicFile.rename(folder <> @before, folder) do
       :ok ->
-        # A copy of the store, complete or not.
+        # An earlier release left this copy of the store, which may be incomplete.
         _ = if File.dir?(folder <> @compacted), do: Folder.remove(folder <> @compacted)
         :ok
 

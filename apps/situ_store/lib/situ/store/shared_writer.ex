@@ -1,6 +1,6 @@
 defmodule Situ.Store.SharedWriter do
   @moduledoc false
-  # A writer that several components of a pipeline write to; the last one to leave closes it.
+  # A writer that several components of a pipeline share. The last component to leave closes it.
   alias Situ.Store.Writer
 
   @enforce_keys [:writer, :users]
@@ -10,17 +10,17 @@ defmodule Situ.Store.SharedWriter do
   @spec new(Writer.t()) :: t()
   def new(writer), do: %__MODULE__{writer: writer, users: :atomics.new(1, signed: true)}
 
-  @doc "One more component writes to it."
+  @doc "Adds a component that writes to the store."
   @spec join(t()) :: :ok
   def join(shared), do: :atomics.add(shared.users, 1, 1)
 
-  @doc "A component has ended."
+  @doc "Removes a component that has ended, and closes the store after the last one."
   @spec leave(t()) :: :ok
   def leave(shared) do
     if :atomics.sub_get(shared.users, 1, 1) == 0, do: close(shared), else: :ok
   end
 
-  @doc "Closes the store. Nobody is left to handle a failure here, and what was committed is safe."
+  @doc "Closes the store. Failures are ignored because no component is left to handle them; committed data is safe."
   @spec close(t()) :: :ok
   def close(shared) do
     _ = Writer.close(shared.writer)

@@ -1,10 +1,10 @@
 defmodule Situ.Store.Sink do
   @moduledoc """
-  The component behind `Situ.Store.write/4`: writes one stream of a pipeline into a store.
+  The component of `Situ.Store.write/4`: writes one stream of a pipeline into a store.
 
-  Messages are gathered for up to 20 ms (or 512 messages, or 64 KiB of payload) and committed as one; with durability
-  `:each` every delivery is committed and on the disk before the next is taken. Committed messages survive a kill of
-  the process.
+  Messages are collected for up to 20 ms (or 512 messages, or 64 KiB of payload) and committed together. With
+  durability `:each`, every delivery is committed and on disk before the next is processed. Committed messages survive
+  a kill of the process.
   """
   use Situ.Component,
     inputs: [in: :any],
@@ -12,12 +12,12 @@ defmodule Situ.Store.Sink do
     options: [
       shared: [type: :any, default: nil, doc: "The `Situ.Store.SharedWriter`."],
       stream: [type: :any, default: nil, doc: "The `Situ.Store.Writer.Stream`."],
-      envelopes: [type: :boolean, default: false, doc: "Write the envelopes only."],
-      eager: [type: :boolean, default: false, doc: "Commit every delivery at once."],
+      envelopes: [type: :boolean, default: false, doc: "Write only the envelopes."],
+      eager: [type: :boolean, default: false, doc: "Commit every delivery immediately."],
       pieces: [
         type: :any,
         default: nil,
-        doc: "`{pieces, cut, name, options}` of a recording in pieces (`Situ.Store.Pieces`)."
+        doc: "`{pieces, cut, name, options}` of a segmented recording (`Situ.Store.Pieces`)."
       ]
     ]
 
@@ -72,11 +72,11 @@ defmodule Situ.Store.Sink do
 
   def handle_messages(:in, messages, _context, state), do: take(messages, state)
 
-  # The piece of these times, or what is left of it when the others are far ahead.
+  # Selects the segment for these times, or the oldest open segment if the other streams are far ahead.
   defp enter(%{pieces: {pieces, _cut, name, opts}} = state, number) do
     case Pieces.stream(pieces, number, name, opts) do
       {:ok, real, stream} ->
-        # As it was left, with what is noted of it: one asks again for a piece when messages were late.
+        # Keep the stream's noted codecs and fields: late messages make it return to a previous segment.
         stream = Map.get(state.held, real, stream)
         held = state.held |> Map.filter(fn {n, _} -> n >= real end) |> Map.put(real, stream)
         %{state | piece: number, stream: stream, held: held}
@@ -99,7 +99,7 @@ defmodule Situ.Store.Sink do
     end
   end
 
-  # Pictures and sound count by their bytes: they are not to pile up here. A struct may have a codec of its own.
+  # Images and audio count with their payload size, so that they do not accumulate here. A struct may have a codec.
   defp weigh([%{data: data} | rest], count, bytes, plain) when is_number(data),
     do: weigh(rest, count + 1, bytes + 8, plain)
 
@@ -122,20 +122,20 @@ defmodule Situ.Store.Sink do
   def handle_closed(:in, time, _context, state) do
     state = flush(state)
 
-    # Of a recording in pieces the last one closes here; there is none when there were no messages.
+    # In a segmented recording, only the last segment's stream is closed. It is nil if there were no messages.
     if state.stream, do: ok!(Writer.close_stream(state.stream, time))
     {[], state}
   end
 
   @impl true
   def terminate(_reason, state) do
-    # After an error what was delivered before it is still worth keeping; a second error would hide the first.
+    # After an error, earlier deliveries are still worth keeping. A second error would hide the first one.
     _ = if state.pending != [], do: append(state)
     if state.shared, do: SharedWriter.leave(state.shared), else: :ok
   end
 
   @impl true
-  def describe(%{pieces: {_, _, name, _}}), do: "writes #{name} in pieces"
+  def describe(%{pieces: {_, _, name, _}}), do: "writes #{name} in segments"
   def describe(state), do: "writes #{state.stream.name} to #{state.shared.writer.path}"
 
   defp flush(%{pending: []} = state), do: state
@@ -146,7 +146,7 @@ defmodule Situ.Store.Sink do
     %{state | stream: stream, pending: [], count: 0, bytes: 0, plain: true, timer: nil}
   end
 
-  # A piece that was closed since: what is pending goes into the oldest one that is open.
+  # If the segment was closed in the meantime, pending messages go into the oldest open segment.
   defp appended(%{pieces: {_, _, _, _}} = state, {:error, %{code: :closed}}) do
     state = enter(%{state | held: %{}}, state.piece)
     remember(state, ok!(append(state)))
@@ -165,7 +165,7 @@ defmodule Situ.Store.Sink do
     {%{state | held: held}, stream}
   end
 
-  # Batches stand newest first.
+  # Batches are sorted newest first.
   defp latest([batch | _]), do: List.last(batch).originating_time
 
   defp append(%{plain: true} = state),

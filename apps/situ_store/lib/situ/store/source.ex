@@ -1,10 +1,10 @@
 defmodule Situ.Store.Source do
   @moduledoc """
-  The component behind `Situ.Store.stream/3`: one stored stream as a source.
+  The component of `Situ.Store.stream/3`: emits one stored stream as a source.
 
-  Messages come on demand with their recorded envelopes, from the replay's start to its end; with an enforced clock
-  the pipeline delivers each when its originating time has come. A store that is being written is followed until its
-  writer is done. `Situ.Store.Importer.seek/2` moves it.
+  Messages are emitted on demand with their recorded envelopes, from the start of the replay to its end. With an
+  enforced clock, the pipeline delivers each message at its originating time. A store that is being written is followed
+  until its writer is done. `Situ.Store.Importer.seek/2` moves the position.
   """
   use Situ.Component,
     inputs: [],
@@ -29,7 +29,7 @@ defmodule Situ.Store.Source do
     :last,
     live: false,
     ordinal: 0,
-    # Messages that were read and not yet asked for, and how many.
+    # Messages that were read but not requested yet, and their number.
     buffer: {[], 0},
     shift: 0,
     known: 0,
@@ -59,15 +59,15 @@ defmodule Situ.Store.Source do
 
   @impl true
   def handle_start(context, state) do
-    # A replay asked to end before the first message has its start for its end.
+    # If the requested end is before the first message, the replay ends at its start.
     replay_end = if context.replay_end == :infinity, do: :unbounded, else: context.replay_end
     replay_end = earlier(replay_end, if(state.to != :unbounded, do: state.to))
     from = if state.live, do: nil, else: context.start_time
     to = if state.importer.period, do: replay_end, else: earlier(replay_end, state.info.closed)
     {:ok, ordinal} = if from, do: seek(state, from), else: {:ok, 0}
 
-    # The end of a store that is being written comes with its writer's; a loop has none but the replay's; a player's
-    # is no end.
+    # While a store is being written, its end is determined by the writer. A loop ends only with the replay, and a
+    # player waits at its end instead of ending.
     %{period: period, keep_open: keep_open?} = state.importer
     endless? = keep_open? or (period != nil and replay_end == :unbounded)
     actions = if endless?, do: [{:complete, :infinity}], else: []
@@ -100,7 +100,7 @@ defmodule Situ.Store.Source do
       else: handle_demand(n, context, state)
   end
 
-  # A seek of the importer: within the epoch it only leaves out what lies before; a new epoch starts anywhere.
+  # Applies a seek of the importer. Within the epoch it only skips messages; a new epoch may start anywhere.
   defp sought(%{importer: %{head: head}, version: version} = state) do
     if Playhead.version(head) == version, do: state, else: sought(state, Playhead.view(head))
   end
@@ -186,7 +186,7 @@ defmodule Situ.Store.Source do
     if ordinal < count and not over?, do: load(n, context, again), else: close(state)
   end
 
-  # A player at its end learns of a seek when the clock jumps.
+  # A player at its end detects a seek by the clock's jump.
   defp finish(_n, context, %{importer: %{keep_open: true}} = state) do
     if state.phase != :listening, do: Clock.listen(Pipeline.clock(context.pipeline))
     {[], %{state | phase: :listening}}
@@ -196,14 +196,14 @@ defmodule Situ.Store.Source do
 
   defp close(state), do: {[{:close, :out, state.last}], %{state | phase: :done}}
 
-  # The replay's end in the recording's own times. A loop runs until the pipeline's time is over.
+  # Returns the replay's end in recorded time. A loop continues until the pipeline's end time.
   defp before(%{to: to, importer: %{period: period}} = state)
        when is_integer(to) and period != nil,
        do: to - state.shift
 
   defp before(%{to: to}), do: to
 
-  # Nothing more for now: wait to be woken by the writer.
+  # There are no more messages for now, so wait for a notification of the writer.
   defp follow(state) do
     Reading.notify(state.importer.store, state.known, @tag)
     {[], state}
@@ -214,7 +214,7 @@ defmodule Situ.Store.Source do
     do: {[], %{state | known: n}}
 
   def handle_info({:situ_store, @tag, {:ended, n}}, _context, state) do
-    # The writer has gone: what it noted last (its close among it) decides where the stream ends.
+    # The writer is gone. Its last catalog records, which may include the close, decide where the stream ends.
     info = Enum.find(Reading.streams(state.importer.store), state.info, &(&1.id == state.info.id))
 
     {[], %{state | known: n, live: false, to: earlier(state.to, info.closed)}}

@@ -1,15 +1,14 @@
 defmodule Situ.Store.StreamInfo do
   @moduledoc """
-  Facts about a stored stream. Times are nanoseconds, sizes bytes; exact at any moment, also while the store is
-  being written or after its writer was killed.
+  Facts about a stored stream. Times are in nanoseconds and sizes in bytes. The values are always exact, even while the
+  store is being written or after its writer was killed.
 
-    * `type` is a `Situ.Type`; `:any` when the recorded type names a module this system does not have (`type_name`
-      says it)
+    * `type` is a `Situ.Type`; `:any` if the recorded type (`type_name`) names a module that this system does not have
     * `first`, `last`: originating times; `first_creation`, `last_creation`: creation times; `nil` without messages
-    * `size`: payload bytes; `stored`: bytes on the disk, with tables and index, after compression
+    * `size`: payload bytes; `stored`: bytes on disk after compression, including tables and index
     * `latency_sum`: creation minus originating time, summed
     * `closed`: the originating time at which the stream closed, or `nil`
-    * `fields`: field names of the struct its messages are, when they are structs stored as terms
+    * `fields`: field names of the messages' struct, if the messages are structs stored as terms
   """
   alias Situ.Error
   alias Situ.Store.Terms
@@ -42,31 +41,31 @@ defmodule Situ.Store.StreamInfo do
 
   @type t :: %__MODULE__{}
 
-  @doc "Messages per second over the recorded span, or `nil` for fewer than two."
+  @doc "Returns messages per second over the recorded time span, or `nil` for fewer than two messages."
   @spec rate(t()) :: float() | nil
   def rate(%{count: count, first: first, last: last}) when count > 1 and last > first,
     do: (count - 1) * 1.0e9 / (last - first)
 
   def rate(_), do: nil
 
-  @doc "Average payload size, or `nil`."
+  @doc "Returns the average payload size, or `nil`."
   @spec average_size(t()) :: float() | nil
   def average_size(%{count: 0}), do: nil
   def average_size(info), do: info.size / info.count
 
-  @doc "Average latency in ns, or `nil`."
+  @doc "Returns the average latency in ns, or `nil`."
   @spec average_latency(t()) :: float() | nil
   def average_latency(%{count: 0}), do: nil
   def average_latency(info), do: info.latency_sum / info.count
 
-  @doc "Last minus first originating time, 0 without messages."
+  @doc "Returns the last minus the first originating time, or 0 without messages."
   @spec duration(t()) :: Situ.Time.duration()
   def duration(%{first: nil}), do: 0
   def duration(info), do: info.last - info.first
 
   @doc """
-  The supplemental metadata as plain data, even from a hostile file; `:no_metadata` if there is none, `:damaged`
-  where it cannot be decoded.
+  Returns the supplemental metadata as plain data, which is safe even for a hostile file. Returns the error
+  `:no_metadata` if there is none, or `:damaged` if it cannot be decoded.
   """
   @spec metadata(t()) :: {:ok, term()} | {:error, Error.t()}
   def metadata(%{supplemental: nil, name: name}),
@@ -79,7 +78,7 @@ defmodule Situ.Store.StreamInfo do
     end
   end
 
-  @doc "Whether the stream was closed properly."
+  @doc "Returns whether the stream was closed properly."
   @spec closed?(t()) :: boolean()
   def closed?(info), do: info.closed != nil
 end

@@ -1,11 +1,11 @@
 defmodule Situ.Store.Structs do
   @moduledoc false
-  # Structs of modules that are in this system but that nobody has loaded yet. Their atoms come with their modules;
-  # those of values are looked for in the other modules of the same applications. So a struct is one from the first
-  # read on.
+  # Loads modules of structs that exist in this system but are not loaded yet. Loading a module creates its atoms. Atoms
+  # of field values may be in other modules of the same applications. With both loaded, such data decodes as structs
+  # from the first read on.
   alias Situ.KnownModules
 
-  @doc "Loads the modules of these names that are in this system; whether there is any."
+  @doc "Loads the modules of these names that exist in this system. Returns whether there are any."
   @spec load([String.t()]) :: boolean()
   def load(names), do: names |> Enum.map(&find/1) |> Enum.any?()
 
@@ -14,7 +14,7 @@ defmodule Situ.Store.Structs do
 
   defp find(_name), do: nil
 
-  @doc "Loads every module of the applications these structs belong to; whether there was anything to load."
+  @doc "Loads all modules of the applications of these structs. Returns whether any had not been loaded before."
   @spec load_all([String.t()]) :: boolean()
   def load_all(names) do
     apps =

@@ -1,33 +1,33 @@
 defmodule Situ.Store.Summary do
   @moduledoc """
-  A stream as a timeline shows it, over any span, in milliseconds whatever its length.
+  Summarizes a stream for a timeline, over any time span and within milliseconds, regardless of the stream's length.
 
-    * `read/6`: everything that can be drawn of a stream of any type
-    * `numbers/5`: the signal of numbers and of sound
+    * `read/6`: all drawable data of a stream of any type
+    * `numbers/5`: the signal of numbers and of audio
 
-  Time is cut into bins of a power of two nanoseconds, at most `(to - from) / pixels` wide, that start at the
-  multiples of their width: panning reuses them. Bins are whole, so the first and the last may reach over the edges of
-  the span; empty ones are left out.
+  Time is divided into bins whose width is a power of two nanoseconds, at most `(to - from) / pixels`. Bins start at
+  multiples of their width, so panning reuses them. Bins are always complete, so the first and the last may extend past
+  the span. Empty bins are omitted.
 
   ## The result of `read/6`
 
   `%Situ.Store.Summary{width: ns, counts: [...], tracks: [...]}`:
 
-    * `counts`: `{start, n}`, how many messages lie in each bin, exactly, for streams of any type
-    * `tracks`: `{key, track}`, where `key` is `nil` for the message itself and else the map's (or struct's) key. A
-      track is one of
+    * `counts`: `{start, n}`, the exact number of messages in each bin, for streams of any type
+    * `tracks`: `{key, track}`, where `key` is `nil` for the message itself, or else a key of the map (or struct). Each
+      track has one of these forms:
       * `{:numbers, [{start, min, max, last, n}]}`
-      * `{:changes, [{time, state}]}`: the exact times at which the state changed, where there are few (option
-        `changes:`). The first one is the state in force at `from`, with the time of its message, which may lie before
-      * `{:states, [{start, last, [{state, n}]}]}`: where there are many, how many messages of each bin had which
-        state, exactly (the most frequent first), and the bin's last state
+      * `{:changes, [{time, state}]}`: the exact times at which the state changed, if there are few changes (option
+        `changes:`). The first entry is the state in force at `from`, with the time of its message, which may be earlier
+      * `{:states, [{start, last, [{state, n}]}]}`: if there are many changes, the last state of each bin and the exact
+        number of messages with each state, most frequent first
 
-  States are booleans, atoms, `nil` and texts of up to 64 bytes. Maps and structs of up to 64 keys have a track for
-  each key whose value is a number or a state, so a stream of intervals (`%{start: t0, stop: t1, label: "door"}`) has
-  the numbers `:start` and `:stop` (the least `:start` and the greatest `:stop` of a bin tell what reaches into a
-  window) and the states `:label`. A key that holds numbers at one time and states at another has two tracks (but for
-  numbers among the truths of a stream, which have none). Beyond 256 different states of a key the further ones are
-  counted as `:"$other"`. Everything else has counts only.
+  States are booleans, atoms, `nil` and strings of up to 64 bytes. Maps and structs of up to 64 keys have a track for
+  each key whose value is a number or a state. For example, a stream of intervals (`%{start: t0, stop: t1, label:
+  "door"}`) has the numbers `:start` and `:stop` and the states `:label`. The smallest `:start` and the largest `:stop`
+  of a bin show whether its intervals reach into a window. A key that has numbers at one time and states at another has
+  two tracks. As an exception, numbers in a stream that also contains booleans have no track. After 256 different states
+  of a key, further states are counted as `:"$other"`. All other data has counts only.
 
       iex> root = Path.join(System.tmp_dir!(), "situ-doc-summary")
       iex> {:ok, writer} = Situ.Store.Writer.create("door", root)
@@ -74,12 +74,12 @@ defmodule Situ.Store.Summary do
       type: :non_neg_integer,
       default: 100,
       doc:
-        "The most changes of a track that are returned one by one; more of them come as counts."
+        "The maximum number of changes of a track that are returned individually; above it, states are counted."
     ]
   ]
 
   @doc """
-  Everything that can be drawn of a stream from `from` to `to` (both included) in `pixels` columns.
+  Returns all drawable data of a stream from `from` to `to` (both included) in `pixels` columns.
 
   #{Options.docs(@options)}
   """
@@ -108,9 +108,9 @@ defmodule Situ.Store.Summary do
   end
 
   @doc """
-  The signal of a numeric or audio stream over `from..to`, folded for `pixels` columns: `{:ok, width, bins}` with bins
-  `{start, min, max, last, count}`. Booleans are 0 and 1, integers come as floats. For sound the bins are those of its
-  samples.
+  Returns the signal of a numeric or audio stream over `from..to` for `pixels` columns: `{:ok, width, bins}` with bins
+  `{start, min, max, last, count}`. Booleans are 0 and 1, and integers are returned as floats. The bins of audio are
+  computed from its samples.
   """
   @spec numbers(Handle.t(), Reading.name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, width :: pos_integer(), [bin()]} | {:error, Error.t()}

@@ -1,7 +1,7 @@
 defmodule Situ.Store.Terms do
   @moduledoc false
-  # Terms out of files, by one checked decoder: no functions, processes, ports or references, no new atoms, bounded
-  # memory. Atoms and structs this system does not have are strings and maps.
+  # Decodes terms from files with one checked decoder: no functions, processes, ports or references, no new atoms, and
+  # bounded memory. Atoms and structs that this system does not have become strings and maps.
   alias Situ.Store.{Native, Structs}
 
   @spec decode(binary()) :: {:ok, term()} | {:error, String.t()}
@@ -14,14 +14,15 @@ defmodule Situ.Store.Terms do
   end
 
   @doc """
-  A term with structs nobody here had heard of: decoded again where their modules could be loaded, else as it was.
+  Resolves structs of modules that were not loaded: decodes the term again if modules could be loaded, or else returns
+  it unchanged.
   """
   @spec known([String.t()], binary(), term()) :: term()
   def known(modules, bytes, term) do
     if Structs.load(modules), do: once_more(bytes, term), else: term
   end
 
-  # The values may be atoms of the other modules of the same applications.
+  # Values may be atoms of other modules of the same applications.
   defp once_more(bytes, term) do
     case Native.term_decode(bytes) do
       {:ok, better} -> better
@@ -37,7 +38,7 @@ defmodule Situ.Store.Terms do
     end
   end
 
-  @doc "Whether a term may be stored: plain data only."
+  @doc "Encodes a term, or returns an error if it contains anything but plain data."
   @spec encode(term()) :: {:ok, binary()} | {:error, {:not_storable, String.t()}}
   def encode(term) do
     bytes = :erlang.term_to_binary(term)

@@ -1,8 +1,8 @@
 defmodule Situ.Store.Transfer do
   @moduledoc false
-  # A stream of other stores in a new one, as it was. Type, metadata, codecs and payloads are taken over as bytes:
-  # terms whose modules or atoms this system lacks are copied too. Signals whose pyramid their codec makes take the way
-  # through messages, and so do foreign files, unless their reader appends them itself.
+  # Copies a stream of other stores unchanged into a new store. Type, metadata, codecs and payloads are copied as bytes,
+  # which includes terms whose modules or atoms this system does not have. Signals whose codec computes their pyramid
+  # are copied as messages, and so are external files, unless their reader appends its messages itself.
   alias Situ.Error
   alias Situ.Store.{Codecs, Failure, Handle, Local, Native, Reading, StreamInfo, TypeName, Writer}
 
@@ -15,7 +15,7 @@ defmodule Situ.Store.Transfer do
   @part_bytes 4 * 1024 * 1024
 
   @doc """
-  The new stream. `info` describes it, the messages of `sources` will come into it; `told.(n)` is called as they do.
+  Creates the new stream, described by `info`, for the messages of `sources`. Calls `told.(n)` for every `n` messages.
   """
   @spec open(Writer.t(), StreamInfo.t(), [source()], keyword(), (pos_integer() -> any())) ::
           {:ok, t()} | {:error, Error.t()}
@@ -51,7 +51,7 @@ defmodule Situ.Store.Transfer do
 
   defp signal?(module), do: module != nil and function_exported?(module, :points, 2)
 
-  # The catalog's other records about the stream.
+  # Writes the remaining catalog records about the stream.
   defp note(transfer, infos) do
     with :ok <- note_metadata(transfer, Enum.find_value(infos, & &1.supplemental)) do
       if transfer.raw?, do: note_payload(transfer, infos), else: {:ok, transfer}
@@ -93,7 +93,7 @@ defmodule Situ.Store.Transfer do
   defp record(%{stream: stream}, record),
     do: Writer.catalog(stream.writer, Map.put(record, :id, stream.id))
 
-  @doc "Takes a source's messages from an ordinal on, no later than `to`; answers the ordinal behind them."
+  @doc "Copies a source's messages from an ordinal on, up to time `to`, and returns the next ordinal."
   @spec take(t(), source(), non_neg_integer(), Situ.Time.t() | :unbounded) ::
           {:ok, t(), non_neg_integer()} | {:error, Error.t()}
   def take(%__MODULE__{raw?: false} = transfer, {store, info}, ordinal, to) do
@@ -139,11 +139,11 @@ defmodule Situ.Store.Transfer do
     end
   end
 
-  @doc "Whether `take_together/2` takes the streams of this store."
+  @doc "Returns whether `take_together/2` supports this store."
   @spec one_pass?(Handle.t()) :: boolean()
   def one_pass?(store), do: function_exported?(store.module, :append_streams, 4)
 
-  @doc "Takes the messages in an interval of several streams of one store."
+  @doc "Copies the messages in an interval of several streams of one store."
   @spec take_together([{t(), source()}], {Situ.Time.t(), Situ.Time.t()}) ::
           :ok | {:error, Error.t()}
   def take_together([{%{told: told}, {store, _}} | _] = taken, interval) do
@@ -158,7 +158,7 @@ defmodule Situ.Store.Transfer do
          do: {:ok, transfer, ordinal}
   end
 
-  # Unreadable messages are left out, unless the caller wants to hear of it; what cannot be written is an error.
+  # Unreadable messages are skipped if the caller allows it. Failed writes are always errors.
   defp failed(reason, transfer, {store, info} = source, ordinal, to)
        when elem(reason, 0) in [:damaged, :missing_extent] do
     next = Native.reader_skip(store.state.ref, info.id, ordinal)
@@ -171,7 +171,7 @@ defmodule Situ.Store.Transfer do
   defp failed(reason, %{stream: stream}, _source, _ordinal, _to),
     do: {:error, Failure.error(reason, stream.writer.path, stream.name)}
 
-  @doc "Messages from elsewhere, behind those taken."
+  @doc "Appends other messages after the copied ones."
   @spec append(t(), [Situ.Message.t()]) :: {:ok, t()} | {:error, Error.t()}
   def append(transfer, messages) do
     with {:ok, stream} <- Writer.append(transfer.stream, messages) do
@@ -180,7 +180,7 @@ defmodule Situ.Store.Transfer do
     end
   end
 
-  @doc "The stream closed at this time (`nil`: it never did)."
+  @doc "Closes the stream at this time, or leaves it open for `nil`."
   @spec close(t(), Situ.Time.t() | nil) :: :ok | {:error, Error.t()}
   def close(_transfer, nil), do: :ok
 

@@ -1,6 +1,6 @@
 defmodule Situ.Store.TypeName do
   @moduledoc """
-  Types as text in a store's catalog, and back without making atoms or running anything.
+  Converts types to strings for a store's catalog, and back without creating atoms or running code.
 
       iex> Situ.Store.TypeName.write({:list, :float})
       "{:list, :float}"
@@ -18,10 +18,10 @@ defmodule Situ.Store.TypeName do
 
   @spec read(String.t()) :: {:ok, Situ.Type.t()} | :error
   def read(text) when is_binary(text) and byte_size(text) < 10_000 do
-    # Names stay text while parsing: the parts of an alias need not be atoms in a system that has the whole.
+    # Names stay strings during parsing, because the parts of an alias may not exist as atoms even if the module does.
     opts = [static_atoms_encoder: fn name, _ -> {:ok, {:"$name", name}} end, emit_warnings: false]
 
-    # its loading is what makes the words of types known
+    # Loading this module creates the atoms of the type names.
     {:module, _} = Code.ensure_loaded(Situ.Type)
 
     with true <- String.valid?(text),
@@ -32,13 +32,13 @@ defmodule Situ.Store.TypeName do
       _ -> :error
     end
   rescue
-    # The tokenizer takes some keys of keyword lists for atoms, which here they are not.
+    # The tokenizer expects some keys of keyword lists to be atoms, which they are not here.
     _ in [ArgumentError, FunctionClauseError] -> :error
   end
 
   def read(_), do: :error
 
-  # A module is written as an alias (`:"Elixir.My.Pose"` is another spelling of it).
+  # A module is written as an alias (`:"Elixir.My.Pose"` is another notation for it).
   defp literal({:"$name", "Elixir." <> _ = name}), do: KnownModules.fetch(name)
   defp literal({:"$name", name}), do: existing(name)
 

@@ -1,9 +1,9 @@
 defmodule Situ.Store.Undecoded do
   @moduledoc """
-  A message whose bytes could not be made data of: an unknown codec, bytes its codec refuses, or a term that is not
+  A message that could not be decoded, because its codec is unknown, its codec rejected the bytes, or its term is not
   plain data.
 
-  `bytes` are what was stored (`nil` for a term that was refused), `codec` the codec's name, `reason` a sentence.
+  `bytes` are the stored bytes (`nil` for a rejected term), `codec` is the codec's name, and `reason` is a sentence.
   """
   defstruct [:codec, :bytes, :reason]
   @type t :: %__MODULE__{codec: String.t() | nil, bytes: binary() | nil, reason: String.t()}

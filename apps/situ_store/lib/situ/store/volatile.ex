@@ -1,14 +1,14 @@
 defmodule Situ.Store.Volatile do
   @moduledoc """
-  Stores in memory: the same files, in the memory file system.
+  Keeps stores in memory: the same files, in the memory file system.
 
-  They can be read by any process of the machine while this system runs, are swept when it has gone, and never touch a
-  disk.
+  Any process on the machine can read them while this system is running. They are deleted after it has ended, and are
+  never written to disk.
   """
 
   alias Situ.{Error, Scratch}
 
-  @doc "The folder of this system's stores in memory."
+  @doc "Returns the folder of this system's stores in memory."
   @spec root() :: Path.t()
   def root do
     case :persistent_term.get(__MODULE__, nil) do
@@ -17,10 +17,10 @@ defmodule Situ.Store.Volatile do
     end
   end
 
-  @doc "The newest store in memory of this name, in any running system, or `nil`."
+  @doc "Returns the newest store in memory of this name, in any running system, or `nil`."
   @spec find(String.t()) :: Path.t() | nil
   def find(name) do
-    # Another user may have made a folder of that name: it is not searched.
+    # Another user may have created a folder of that name. It is not searched.
     folders = if Scratch.claim(base()) == :ok, do: Path.wildcard(Path.join(base(), "*")), else: []
 
     folders
@@ -38,7 +38,7 @@ defmodule Situ.Store.Volatile do
     root
   end
 
-  # Folders are named by the process they belong to; those of processes that have gone are leftovers.
+  # Each folder is named after its process. Folders of processes that have ended are deleted.
   defp sweep do
     for folder <- Path.wildcard(Path.join(base(), "*")),
         pid = Path.basename(folder),

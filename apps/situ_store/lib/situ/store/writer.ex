@@ -1,41 +1,49 @@
 defmodule Situ.Store.Writer do
   @options [
-    versioned: [type: :boolean, default: true, doc: "Make a sub-folder `NAME.NNNN`."],
+    versioned: [type: :boolean, default: true, doc: "Create a subfolder `NAME.NNNN`."],
     durability: [
       type: {:or, [{:in, [:none, :each]}, {:tuple, [{:in, [:interval]}, :pos_integer]}]},
       default: :none,
       doc:
-        "`:none`, `{:interval, ms}` or `:each` commit: what a power cut may take (see " <>
-          "`Situ.Store.Writer`). A killed process loses nothing in any case."
+        "When commits are synced to disk: `:none`, `{:interval, ms}` or `:each`. It decides which data a power " <>
+          "failure can lose (see `Situ.Store.Writer`). A killed process never loses committed data."
     ],
     first_extent: [
       type: :pos_integer,
       default: 4 * 1024 * 1024,
-      doc: "Bytes of the first extent."
+      doc: "The size of the first extent in bytes."
     ],
-    max_extent: [type: :pos_integer, default: 256 * 1024 * 1024, doc: "Bytes of the largest."],
+    max_extent: [
+      type: :pos_integer,
+      default: 256 * 1024 * 1024,
+      doc: "The size of the largest extent in bytes."
+    ],
     mode: [
       type: :non_neg_integer,
       doc:
-        "Who may read and write the recording, as for `File.chmod/2` (`0o600`, `0o644`, ...): its files get " <>
-          "this mode, its folder the same and the right to enter for whoever may read. Default: `0o640` within " <>
+        "The permissions of the recording, as for `File.chmod/2` (`0o600`, `0o644`, ...). Its files get this " <>
+          "mode, and its folder gets the same mode plus search permission for readers. Default: `0o640` within " <>
           "the process's file mode mask (`umask`)."
     ],
     volatile: [
       type: :boolean,
       default: false,
-      doc: "Note that the store lies in memory (`Situ.Store.Volatile`)."
+      doc: "Record that the store is in memory (`Situ.Store.Volatile`)."
     ]
   ]
   @stream_options [
     type: [type: :any, default: :any, doc: "The `Situ.Type` of the messages."],
-    compression: [type: {:in, [:none, :lz4, :zstd]}, default: :none, doc: "Of the payloads."],
-    large: [type: :boolean, default: false, doc: "Put every message into the large extents."],
+    compression: [
+      type: {:in, [:none, :lz4, :zstd]},
+      default: :none,
+      doc: "The compression of payloads."
+    ],
+    large: [type: :boolean, default: false, doc: "Store every message in the large extents."],
     metadata: [type: :any, doc: "Supplemental metadata: any plain term."]
   ]
 
   @moduledoc """
-  Writes a store: the plain interface under `Situ.Store.write/4`, for programs that are no pipeline.
+  Writes a store without a pipeline. `Situ.Store.write/4` uses this interface.
 
       iex> {:ok, writer} = Situ.Store.Writer.create("notes", System.tmp_dir!() <> "/situ-doc-writer")
       iex> {:ok, stream} = Situ.Store.Writer.stream(writer, "Numbers", type: :integer)
@@ -49,20 +57,20 @@ defmodule Situ.Store.Writer do
       iex> Situ.Store.delete(writer.path)
       :ok
 
-  ## Durability: what is left after a crash
+  ## Durability: data loss after a crash
 
-  | `durability:` | the process is killed (-9) | the power goes | cost |
+  | `durability:` | the process is killed (-9) | the power fails | cost |
   |---|---|---|---|
-  | `:none` | nothing is lost | what the kernel had not written, up to about 30 s (Linux's `dirty_expire`); the store opens, `verify` tells the chunks that did not reach the disk and `repair` leaves them out | none |
-  | `{:interval, ms}` | nothing is lost | what was committed in the last `ms` or since the last commit before, whichever is longer | an `fdatasync` every `ms` |
-  | `:each` | nothing is lost | nothing that `append/2` had answered | two `fdatasync` a commit: 1 to 10 ms on most disks |
+  | `:none` | nothing is lost | data not yet written by the kernel, up to about 30 s (Linux's `dirty_expire`); the store opens, `verify` reports the chunks that did not reach the disk and `repair` removes them | none |
+  | `{:interval, ms}` | nothing is lost | data committed in the last `ms` or since the previous commit, whichever is longer | an `fdatasync` every `ms` |
+  | `:each` | nothing is lost | no messages for which `append/2` has returned | two `fdatasync` per commit: 1 to 10 ms on most disks |
 
-  "Nothing" is what was committed: an append is, when it has answered. A pipeline gathers for up to 20 ms before it
-  appends (`Situ.Store.write/4`); with `:each` every delivery is appended at once. Disks that lie about their cache
-  lose more.
+  "Nothing is lost" refers to committed data. Data is committed when `append/2` returns. A pipeline collects data for up
+  to 20 ms before it appends (`Situ.Store.write/4`); with `:each`, every delivery is appended immediately. Disks that
+  misreport the state of their cache lose more.
 
-  When `append/2` has answered, the messages are committed: readers in any process see them, and a kill of this one does
-  not lose them. On an error none of them is written and the writer is as it was before.
+  When `append/2` returns, the messages are committed. Readers in any process see them, and a kill of this process does
+  not lose them. On an error, none of the messages is written and the writer is unchanged.
 
   ## Options of `create/3`
 
@@ -80,7 +88,7 @@ defmodule Situ.Store.Writer do
   @type t :: %__MODULE__{ref: reference(), path: Path.t(), name: String.t()}
 
   defmodule Stream do
-    @moduledoc "A stream being written; what `append/2` returns is used for the next."
+    @moduledoc "A stream that is being written. Use the stream returned by `append/2` for the next call."
     @enforce_keys [:writer, :id, :name]
     defstruct [:writer, :id, :name, codecs: %{}, fields: nil]
     @type t :: %__MODULE__{}
@@ -91,7 +99,7 @@ defmodule Situ.Store.Writer do
   @doc false
   def stream_options, do: @stream_options
 
-  @doc "A new store `name` below `root`, open for writing."
+  @doc "Creates a store `name` in `root` and opens it for writing."
   @spec create(String.t(), Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def create(name, root, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
@@ -105,7 +113,7 @@ defmodule Situ.Store.Writer do
              opts[:mode]
            )
            |> Failure.wrap(path) do
-      # Messages on the disk can only be found if the folder's name is there, too.
+      # Messages on disk can only be found if the folder's name is on disk, too.
       if opts[:durability] != :none, do: AtomicFile.sync_folder(Path.dirname(path))
       writer = %__MODULE__{ref: ref, path: path, name: name}
       record = %{kind: "store", name: name, writer: "situ 0.1.0", volatile: opts[:volatile]}
@@ -117,7 +125,7 @@ defmodule Situ.Store.Writer do
     end
   end
 
-  # A recording that failed to start leaves no folder behind.
+  # Deletes the folder of a recording that failed to start.
   defp give_up(writer, error) do
     _ = close(writer)
     _ = Folder.remove(writer.path)
@@ -127,7 +135,7 @@ defmodule Situ.Store.Writer do
   defp durability({:interval, ms}), do: ms
   defp durability(other), do: other
 
-  @doc "A new stream. Names are unique in a store."
+  @doc "Adds a stream. Stream names are unique in a store."
   @spec stream(t(), String.t(), keyword()) :: {:ok, Stream.t()} | {:error, Error.t()}
   def stream(%__MODULE__{} = writer, name, opts \\ []) when is_binary(name) do
     with {:ok, opts} <- Options.validate(opts, @stream_options),
@@ -148,7 +156,7 @@ defmodule Situ.Store.Writer do
   end
 
   @doc false
-  # A stream whose catalog record says `record` of it.
+  # Adds a stream with the catalog record `record`.
   @spec add(t(), String.t(), map()) :: {:ok, Stream.t()} | {:error, Error.t()}
   def add(writer, name, %{compression: compression, large: large?} = record) do
     with {:ok, id} <-
@@ -185,8 +193,8 @@ defmodule Situ.Store.Writer do
   defp kind_of(_), do: ":any"
 
   @doc """
-  Appends messages, all or none, and commits them. Originating times increase; `creation_time` and `sequence_id` are
-  kept.
+  Appends and commits all messages, or none of them. Originating times must increase. `creation_time` and `sequence_id`
+  are kept.
   """
   @spec append(Stream.t(), [Message.t()]) :: {:ok, Stream.t()} | {:error, Error.t()}
   def append(stream, []), do: {:ok, stream}
@@ -200,7 +208,7 @@ defmodule Situ.Store.Writer do
   defp plain?([]), do: true
 
   @doc false
-  # Lists of messages none of which is a struct, as they came.
+  # Appends lists of messages without structs, unchanged.
   @spec append_plain(Stream.t(), [[Message.t()]]) :: {:ok, Stream.t()} | {:error, Error.t()}
   def append_plain(stream, batches) do
     case Native.writer_append(stream.writer.ref, stream.id, batches) do
@@ -211,7 +219,7 @@ defmodule Situ.Store.Writer do
     error in ArgumentError -> refused(batches, stream, error, __STACKTRACE__)
   end
 
-  # Times are 64 bits in a store; recordings of others may have any.
+  # Times in a store have 64 bits; recordings of other systems may have any time.
   defp refused(batches, stream, error, stack) do
     times = for batch <- batches, m <- batch, do: [m.originating_time, m.creation_time]
     far? = &(is_integer(&1) and abs(&1) > 0x7FFFFFFFFFFFFFFF)
@@ -223,13 +231,13 @@ defmodule Situ.Store.Writer do
       time ->
         {:error,
          Error.new(:bad_time, "a message of #{stream.name} has the time #{time} ns",
-           why: "a store holds times from 1677-09-21 to 2262-04-11",
-           fix: "leave it out, for example with `situ store crop`"
+           why: "a store supports times from 1677-09-21 to 2262-04-11",
+           fix: "remove the message, for example with `situ store crop`"
          )}
     end
   end
 
-  # Runs of messages of one codec, or of none; one commit.
+  # Appends runs of messages with the same codec (or with none) in one commit.
   defp append_runs(stream, messages) do
     runs = Enum.chunk_by(messages, &Codecs.of(&1.data))
 
@@ -244,7 +252,7 @@ defmodule Situ.Store.Writer do
     error in ArgumentError -> refused([messages], stream, error, __STACKTRACE__)
   end
 
-  # Codecs and fields, which readers need before the first message that uses them.
+  # Records codecs and fields, which readers need before the first message that uses them.
   defp noted(stream, runs) do
     Enum.reduce_while(runs, {:ok, stream}, fn [first | _] = run, {:ok, stream} ->
       result =
@@ -300,7 +308,7 @@ defmodule Situ.Store.Writer do
          do: {:ok, %{stream | codecs: Map.put(codecs, module, number)}}
   end
 
-  # The first struct's fields, so that a reader whose struct has changed can say so when it opens the stream.
+  # Records the first struct's fields, so that a reader detects a changed struct when it opens the stream.
   defp note_fields(%{fields: nil} = stream, messages) do
     case Enum.find(messages, &is_struct(&1.data)) do
       nil ->
@@ -322,29 +330,29 @@ defmodule Situ.Store.Writer do
 
   defp note_fields(stream, _messages), do: {:ok, stream}
 
-  @doc "Notes that the stream closed at this originating time. Messages behind it are not replayed."
+  @doc "Records that the stream closed at this originating time. Later messages are not replayed."
   @spec close_stream(Stream.t(), Situ.Time.t()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def close_stream(%Stream{} = stream, time),
     do: catalog(stream.writer, %{kind: "closed", id: stream.id, time: time})
 
-  @doc "How many bytes the store takes: what was written, not what is allocated for what follows."
+  @doc "Returns the number of bytes written, without the space allocated for later data."
   @spec bytes(t()) :: non_neg_integer()
   def bytes(%__MODULE__{} = writer), do: Native.writer_bytes(writer.ref)
 
-  @doc "Waits until everything committed is on the disk."
+  @doc "Waits until all committed data is on disk."
   @spec sync(t()) :: :ok | {:error, Error.t()}
   def sync(%__MODULE__{} = writer) do
     with {:ok, _} <- writer.ref |> Native.writer_sync() |> Failure.wrap(writer.path), do: :ok
   end
 
-  @doc "Closes the store: cuts unused space, marks it closed, gives up the lock. Closing twice is no error."
+  @doc "Closes the store: trims unused space, marks it as closed, and releases the lock. May be called repeatedly."
   @spec close(t()) :: :ok | {:error, Error.t()}
   def close(%__MODULE__{} = writer) do
     with {:ok, _} <- writer.ref |> Native.writer_close() |> Failure.wrap(writer.path), do: :ok
   end
 
   @doc false
-  # Stream 0; its times only have to increase, whatever the clock does.
+  # Appends a record to stream 0, whose times must increase even if the clock is set back.
   @spec catalog(t(), map()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def catalog(writer, record) do
     {:ok, {last, n}} = Native.writer_position(writer.ref, 0)
@@ -359,7 +367,7 @@ defmodule Situ.Store.Writer do
     }
 
     case Native.writer_append(writer.ref, 0, [[message]]) do
-      # Another stream's record came between: again, behind it.
+      # Another record was appended at the same time, so try again with a later time.
       {:error, {:not_increasing, 0, _, _}} -> catalog(writer, record)
       result -> Failure.wrap(result, writer.path)
     end

@@ -1,6 +1,6 @@
 defmodule Situ.Store.Columns.Reading do
   @moduledoc false
-  # A stream's parts: columns where its messages are plain numbers, else lists of messages.
+  # Reads a stream in parts: columns for plain numbers, lists of messages for everything else.
   alias Situ.{Message, Options}
   alias Situ.Store.{Columns, Handle, Reading, StreamInfo}
 
@@ -28,7 +28,7 @@ defmodule Situ.Store.Columns.Reading do
     )
   end
 
-  # Messages where there are no numbers; and where there is damage: reading them tells, or passes over it.
+  # Reads messages if the data is not numeric or is damaged. Reading messages then reports the damage or skips it.
   @spec part(Handle.t(), StreamInfo.t(), non_neg_integer(), Situ.Time.t() | :unbounded, keyword()) ::
           {:ok, Columns.t() | [Message.t()], non_neg_integer()} | {:error, Situ.Error.t()}
   defp part(store, info, ordinal, to, opts) do

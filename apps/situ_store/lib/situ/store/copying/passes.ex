@@ -1,13 +1,13 @@
 defmodule Situ.Store.Copying.Passes do
   @moduledoc false
-  # Writes the streams of a copy, in as few passes over the originals as their readers need.
+  # Writes the streams of a copy, in as few passes over the originals as their readers allow.
   alias Situ.Error
   alias Situ.Store.{Reading, StreamInfo, Transfer, Writer}
 
   @earliest -0x8000000000000000
   @latest 0x7FFFFFFFFFFFFFFF
 
-  @doc "Writes streams, each with the sources of its messages. `report.(n)` is called for every `n` messages."
+  @doc "Writes streams, each from the sources of its messages. Calls `report.(n)` for every `n` messages."
   @spec write(
           Writer.t(),
           [{StreamInfo.t(), [Transfer.source()]}],
@@ -20,7 +20,7 @@ defmodule Situ.Store.Copying.Passes do
     |> each_ok(&write_pass(writer, &1, opts, report))
   end
 
-  # Streams that are read in one pass over the same files are written together, each other one by itself.
+  # Streams that can be read in one pass over the same files are written together; every other stream is separate.
   defp pass({info, sources}) do
     if one_pass?(sources),
       do: {:files, for({store, _} <- sources, do: store.path)},
@@ -52,7 +52,7 @@ defmodule Situ.Store.Copying.Passes do
       else: take_messages(transfers, sources, opts)
   end
 
-  # A pass for each file, with the streams in it.
+  # Makes one pass over each file for all streams in it.
   defp take_passes(transfers, files, opts) do
     interval = {clamp(opts[:from] || @earliest), clamp(opts[:to] || @latest)}
 

@@ -1,7 +1,7 @@
 defmodule Situ.Store.Csv.Appending do
   @moduledoc false
-  # Columns of a CSV file as streams of a store. Native code takes many rows of all columns at once; a part that it
-  # cannot read (a date written in an unusual way, a whole number of more than 64 bits) goes as messages.
+  # Appends columns of a CSV file to streams of a store. Native code handles many rows of all columns at a time. A part
+  # that it cannot read (an unusual date format, an integer of more than 64 bits) is appended as messages.
   alias Situ.Store.Csv.Scan
   alias Situ.Store.{StreamInfo, Writer}
 
@@ -20,8 +20,8 @@ defmodule Situ.Store.Csv.Appending do
   @typep error :: {:error, String.t() | Situ.Error.t()}
 
   @doc """
-  Appends the parts from number `at` on. `messages` returns the messages of a stream in a part. An error that is a text
-  says what is wrong with the file.
+  Appends the parts, starting with number `at`. `messages` returns the messages of a stream in a part. An error that is
+  a string describes a problem in the file.
   """
   @spec append(t(), non_neg_integer()) :: :ok | error()
   def append(%{targets: []}, _at), do: :ok
@@ -56,7 +56,7 @@ defmodule Situ.Store.Csv.Appending do
       report_count(job, counts |> Enum.map(&elem(&1, 1)) |> Enum.sum())
       append(job, next)
     else
-      {:error, "a column has other fields than before"}
+      {:error, "the number of fields in a column has changed"}
     end
   end
 
@@ -83,7 +83,7 @@ defmodule Situ.Store.Csv.Appending do
   defp report_count(_job, 0), do: :ok
   defp report_count(job, n), do: job.told.(n)
 
-  # The fields of a stream's column before a part.
+  # Counts the fields of a stream's column before a part.
   defp fields_before(%{parts: parts}, info, at) when at >= tuple_size(parts), do: info.count
 
   defp fields_before(job, info, at), do: Map.get(elem(job.parts, at).counts, info.id - 1, 0)

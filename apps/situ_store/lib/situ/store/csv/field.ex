@@ -1,16 +1,16 @@
 defmodule Situ.Store.Csv.Field do
   @moduledoc false
-  # Texts of a CSV file as values and as times. Pure.
+  # Converts fields of a CSV file to values and times. Pure.
 
   @units %{s: 1_000_000_000, ms: 1_000_000, us: 1_000, ns: 1}
 
   @times -0x8000000000000000..0x7FFFFFFFFFFFFFFF
-  # More of them are no float, should the column be one.
+  # Longer integers would not fit into a float if the column became a float column.
   @most_digits 300
 
   @type kind :: :integer | :float | :string
 
-  @doc "A number where it looks like one, else the text."
+  @doc "Returns the field as a number if it looks like one, or else as a string."
   @spec value(String.t()) :: number() | String.t()
   def value(text) do
     case Integer.parse(text) do
@@ -26,7 +26,7 @@ defmodule Situ.Store.Csv.Field do
     end
   end
 
-  @doc "The kind of value that a text looks like."
+  @doc "Returns the kind of value that a field looks like."
   @spec kind(String.t()) :: kind()
   def kind(text) do
     case value(text) do
@@ -37,8 +37,8 @@ defmodule Situ.Store.Csv.Field do
   end
 
   @doc """
-  The kind of a column whose fields so far are of the one and the next of the other: integers among floats are floats,
-  anything among strings a string.
+  Merges the kind of a column so far with the kind of its next field: integers and floats become floats, and strings
+  with anything else become strings.
   """
   @spec unify(kind() | nil, kind()) :: kind()
   def unify(nil, kind), do: kind
@@ -46,13 +46,13 @@ defmodule Situ.Store.Csv.Field do
   def unify(a, b) when a == :string or b == :string, do: :string
   def unify(_, _), do: :float
 
-  @doc "The text as a value of its column's kind; texts stay as they are written."
+  @doc "Returns the field as a value of its column's kind. Fields of a string column are unchanged."
   @spec as(String.t(), kind()) :: number() | String.t()
   def as(text, :string), do: text
   def as(text, :integer), do: value(text)
   def as(text, :float), do: value(text) / 1
 
-  @doc "The nanoseconds of a unit; 0 of ISO 8601."
+  @doc "Returns the nanoseconds of a unit, or 0 for ISO 8601."
   @spec nanoseconds(atom()) :: non_neg_integer()
   def nanoseconds(:iso8601), do: 0
   def nanoseconds(unit), do: @units[unit]
@@ -66,7 +66,7 @@ defmodule Situ.Store.Csv.Field do
   end
 
   def time(text, unit) do
-    # Times have 64 bits, and nothing larger is multiplied.
+    # Times have 64 bits, so larger numbers are rejected before the multiplication.
     time =
       case value(String.trim(text)) do
         n when is_integer(n) -> n * @units[unit]
@@ -74,12 +74,12 @@ defmodule Situ.Store.Csv.Field do
         _ -> nil
       end
 
-    if time in @times, do: {:ok, time}, else: "#{inspect(text)} is no time"
+    if time in @times, do: {:ok, time}, else: "#{inspect(text)} is not a valid time"
   end
 
   defp round_time(x), do: if(abs(x) < 9.2e18, do: round(x))
 
-  @doc "The unit of a time column: asked for, or told by the first field and the column's name."
+  @doc "Returns the given unit of a time column, or detects it from the column's name and first field."
   @spec unit(String.t(), String.t() | nil, atom()) :: {:ok, atom()} | {:error, String.t()}
   def unit(_name, nil, :auto), do: {:ok, :s}
 
@@ -94,7 +94,7 @@ defmodule Situ.Store.Csv.Field do
   end
 
   def unit(_name, _sample, unit) when unit in [:s, :ms, :us, :ns, :iso8601], do: {:ok, unit}
-  def unit(_name, _sample, unit), do: {:error, "#{inspect(unit)} is no unit of time"}
+  def unit(_name, _sample, unit), do: {:error, "#{inspect(unit)} is not a unit of time"}
 
   defp suffix("µs"), do: :us
   defp suffix("ns"), do: :ns

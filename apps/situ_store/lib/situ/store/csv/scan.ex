@@ -1,6 +1,6 @@
 defmodule Situ.Store.Csv.Scan do
   @moduledoc false
-  # One pass over a CSV file: what its columns are, and where every thousandth row begins.
+  # Scans a CSV file once to find its columns and the position of every thousandth row.
   alias Situ.Store.Csv.Field
   alias Situ.Store.{Failure, Native, Writer}
 
@@ -8,11 +8,11 @@ defmodule Situ.Store.Csv.Scan do
   @bytes 4 * 1024 * 1024
   @most_damage 10_000
   @native -0x8000000000000000..0x7FFFFFFFFFFFFFFF
-  # Parts that are scanned at once.
+  # Number of parts scanned per native call.
   @parts 32
 
-  # columns: index => %{name, kind, count, first, last}; parts (latest first): %{place, last, counts}: where a part
-  # begins, the last time kept before it, and how many messages of each column lie before it.
+  # columns: index => %{name, kind, count, first, last}. parts (latest first): %{place, last, counts} with the position
+  # where the part begins, the last valid time before it, and the number of messages of each column before it.
   defstruct [:path, :separator, :width, :time, :unit, :start, columns: %{}, parts: [], damage: []]
 
   @type place :: {byte :: non_neg_integer(), line :: pos_integer()}
@@ -44,7 +44,7 @@ defmodule Situ.Store.Csv.Scan do
     end
   end
 
-  @doc "The rows of the part that begins at `place`."
+  @doc "Reads the rows of the part that begins at `place`."
   @spec rows(t(), place()) :: {:ok, [row()], place()} | {:error, String.t()}
   def rows(scan, place), do: some(scan, place, @rows)
 
@@ -64,7 +64,7 @@ defmodule Situ.Store.Csv.Scan do
   defp told({:error, {:damaged, line, why}}), do: {:error, "line #{line}: #{why}"}
   defp told({:error, {:io, what, _, why}}), do: {:error, "could not #{what}: #{why}"}
 
-  # The separator is guessed from the first line, which begins behind a byte order mark.
+  # The separator is guessed from the first line, which starts after any byte order mark.
   defp first_line(path) do
     with {:ok, file} <- :file.open(path, [:read, :raw, :binary]),
          read = :file.pread(file, 0, 64 * 1024),
@@ -88,17 +88,18 @@ defmodule Situ.Store.Csv.Scan do
   defp separator(<<mark>>, _line) when mark not in [?", ?\r, ?\n], do: {:ok, mark}
 
   defp separator(other, _line),
-    do: {:error, "#{inspect(other)} is no separator: it must be one byte, and no quote"}
+    do:
+      {:error, "#{inspect(other)} is not a valid separator: it must be one byte and not a quote"}
 
   defp heading(scan, start) do
     case some(scan, start, 1) do
       {:ok, [], _} -> {:error, "it is empty"}
-      {:ok, [{_, [_]}], _} -> {:error, "its first line has one column only"}
+      {:ok, [{_, [_]}], _} -> {:error, "its first line has only one column"}
       other -> other
     end
   end
 
-  # A first line of numbers is no heading.
+  # If the first line contains only numbers, it is data and not a heading.
   defp names(names, {_, fields}, start, second, next) do
     trimmed = Enum.map(names, &String.trim/1)
     sample = with [{_, row}] <- next, do: row, else: (_ -> nil)
@@ -126,7 +127,7 @@ defmodule Situ.Store.Csv.Scan do
     end
   end
 
-  # Native code tells what most files hold; where it cannot, the next part is gone through here.
+  # Native code handles most files. If it cannot read the next part, the rows are parsed here.
   defp pass(scan, place, last) do
     case native?(scan, last) && Native.csv_scan(scan.path, layout(scan), {place, last}, @parts) do
       {:ok, parts} ->
@@ -170,7 +171,7 @@ defmodule Situ.Store.Csv.Scan do
   defp told_why(scan, fields) when is_integer(fields),
     do: "it has #{fields} fields, not #{scan.width}"
 
-  defp told_why(_scan, :not_increasing), do: "its time does not go forward"
+  defp told_why(_scan, :not_increasing), do: "its time does not increase"
   defp told_why(scan, text) when is_binary(text), do: Field.time(text, scan.unit)
 
   defp pass_rows(scan, place, last) do
@@ -192,7 +193,7 @@ defmodule Situ.Store.Csv.Scan do
 
   defp counts(scan), do: Map.new(scan.columns, fn {index, column} -> {index, column.count} end)
 
-  # The first ones are kept.
+  # The first entries are kept. The newest entries are at the head of the list.
   defp put_damage(scan, []), do: scan
 
   defp put_damage(scan, damage),
@@ -209,8 +210,8 @@ defmodule Situ.Store.Csv.Scan do
   end
 
   @doc """
-  The values of one column in the part that begins at `place`, after a row of the time `last`, with their times. Empty
-  fields have none.
+  Reads the values of one column, with their times, in the part that begins at `place` after a row with the time `last`.
+  Empty fields are omitted.
   """
   @spec values(t(), map(), non_neg_integer()) ::
           {:ok, [{Situ.Time.t(), number() | String.t()}]} | {:error, String.t()}
@@ -227,9 +228,9 @@ defmodule Situ.Store.Csv.Scan do
   end
 
   @doc """
-  Appends the columns of up to `parts` parts, from `part` on, to streams of a writer. `targets` are `{column, stream,
-  sequence}` with the sequence id of the column's first field in `part`. Returns how many parts there were, and for each
-  column how many fields they have and how many of them are in the interval. `:slow` where native code cannot read
+  Appends columns of up to `parts` parts, starting with `part`, to streams of a writer. `targets` are `{column, stream,
+  sequence}` with the sequence id of the column's first field in `part`. Returns the number of parts and, for each
+  column, its number of fields and how many of them are in the interval. Returns `:slow` if native code cannot read
   `part`.
   """
   @spec append(t(), map(), [{non_neg_integer(), Writer.Stream.t(), pos_integer()}], {
@@ -266,7 +267,7 @@ defmodule Situ.Store.Csv.Scan do
     end
   end
 
-  # Numbers that are larger than native ones came as they are written.
+  # Integers that do not fit into 64 bits are returned by native code as strings.
   defp as(values, :string), do: values
 
   defp as(values, kind) do
@@ -305,8 +306,8 @@ defmodule Situ.Store.Csv.Scan do
   end
 
   @doc """
-  The rows that go forward in time, as `{time, fields as a tuple}`; what is wrong with the others, latest first; the
-  last time.
+  Splits rows into valid rows, as `{time, fields as a tuple}`, and damage entries for the other rows, latest first. A
+  row is valid if its time increases. The third element is the last valid time.
   """
   @spec keep([row()], Situ.Time.t() | nil, t()) ::
           {[{Situ.Time.t(), tuple()}], [tuple()], Situ.Time.t() | nil}
@@ -320,7 +321,7 @@ defmodule Situ.Store.Csv.Scan do
                  "it has #{tuple_size(fields)} fields, not #{scan.width}",
              {:ok, time} <- Field.time(elem(fields, scan.time), scan.unit),
              time = time + scan.start,
-             true <- last == nil or time > last || "its time does not go forward" do
+             true <- last == nil or time > last || "its time does not increase" do
           {[{time, fields} | kept], damage, time}
         else
           why -> {kept, [damage(scan, line, why) | damage], last}

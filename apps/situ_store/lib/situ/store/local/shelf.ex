@@ -1,24 +1,24 @@
 defmodule Situ.Store.Local.Shelf do
   @moduledoc false
-  # The catalog of a store, worked out once for as long as it has no more records: every stream by its name, all of
-  # them, and what is said of the store itself.
+  # Caches the parsed catalog of a store until it has new records: each stream by name, all streams together, and the
+  # facts about the store itself.
   alias Situ.Store.{Catalog, Folder, Native, StreamInfo}
 
   @catalog 0
   @read_bytes 4 * 1024 * 1024
   @max_time 9_223_372_036_854_775_807
 
-  # Names are text, so these two are none.
+  # Stream names are valid UTF-8, so these two keys cannot be names.
   @all <<0xFE>>
   @about <<0xFF>>
 
   @type about :: %{name: String.t(), volatile?: boolean(), piece: map() | nil, damage: term()}
 
-  @doc "The store's name, whether it is one in memory, and what was wrong with its catalog."
+  @doc "Returns the store's name, whether it is in memory, its segment facts, and any damage in its catalog."
   @spec about(reference(), Path.t()) :: about()
   def about(ref, path), do: shelved(ref, path, @about)
 
-  @doc "The stream of a name, or `nil`; of `:all` a list."
+  @doc "Returns the stream of a name or `nil`, or the list of all streams for `:all`."
   @spec fetch(reference(), Path.t(), String.t() | :all) :: StreamInfo.t() | nil | [StreamInfo.t()]
   def fetch(ref, path, :all), do: shelved(ref, path, @all)
   def fetch(ref, path, name), do: shelved(ref, path, name)
@@ -54,7 +54,7 @@ defmodule Situ.Store.Local.Shelf do
       damage: damage
     }
 
-    # Of two of one name the first is found by it, as in the list.
+    # If two streams have the same name, the first one is found, as in the list.
     named = for info <- Enum.reverse(streams), do: {info.name, :erlang.term_to_binary(info)}
 
     named ++
@@ -62,7 +62,7 @@ defmodule Situ.Store.Local.Shelf do
           do: {key, :erlang.term_to_binary(term)}
   end
 
-  # The records, and what was wrong with some of them.
+  # Returns the records and the reason if some of them were damaged.
   defp records(ref, ordinal, parts, damage) do
     case Native.read(ref, @catalog, ordinal, @max_time, 10_000, @read_bytes) do
       {:ok, [], _} ->
@@ -73,7 +73,7 @@ defmodule Situ.Store.Local.Shelf do
         records(ref, next, [bytes | parts], damage)
 
       {:error, reason} ->
-        # A damaged part of the catalog: what follows it is still good.
+        # Records after a damaged part of the catalog are still usable.
         case Native.reader_skip(ref, @catalog, ordinal) do
           ^ordinal -> {parts |> Enum.reverse() |> Enum.concat(), reason}
           next -> records(ref, next, parts, reason)

@@ -1,8 +1,8 @@
 defmodule Situ.Store.Pieces.Cut do
   @moduledoc false
-  # Where a recording in pieces is cut: at multiples of a time, or where a piece has got so many bytes. The second is
-  # found while it is recorded, by one process, and read by all that write: the number of the newest piece and the time
-  # from which on messages belong to it.
+  # Decides where a recording is split into segments: at multiples of a time, or when a segment reaches a size. One
+  # process makes the splits by size during recording. All writing components read them: the number of the newest
+  # segment and the time at which it begins.
   @enforce_keys [:every]
   defstruct [:every, :newest]
 
@@ -24,31 +24,32 @@ defmodule Situ.Store.Pieces.Cut do
 
   def new(every), do: %__MODULE__{every: every}
 
-  @doc "The number of the piece that a time belongs to: that of the newest, and of the one before it what lies before."
+  @doc "Returns the number of the segment for a time: the newest segment or, for earlier times, the one before it."
   @spec number(t(), Situ.Time.t()) :: integer()
   def number(%{newest: nil, every: every}, time), do: Integer.floor_div(time, every)
 
   def number(%{newest: newest}, time) do
-    # In this order, and set in the other: a number that is older than its time would send a message two pieces back.
+    # Read in this order because the writer sets the number first: an outdated number with a new time would send a
+    # message two segments back.
     from = :atomics.get(newest, @from)
     number = :atomics.get(newest, @number)
     if time >= from, do: number, else: number - 1
   end
 
-  @doc "The number of the newest piece that was begun by `cut/2`."
+  @doc "Returns the number of the newest segment begun by `cut/2`."
   @spec newest(t()) :: integer()
   def newest(%{newest: newest}), do: :atomics.get(newest, @number)
 
   @doc """
-  Moves the beginning of the newest piece back to `time`, if it is later: it may have come from a message with a wrong
-  time, and then the piece before it would never end.
+  Moves the beginning of the newest segment back to `time`, if it is later. A message with an incorrect time may have
+  set it, and then the segment before it would never end.
   """
   @spec lower(t(), Situ.Time.t()) :: :ok
   def lower(%{newest: newest}, time) do
     if time < :atomics.get(newest, @from), do: :atomics.put(newest, @from, time), else: :ok
   end
 
-  @doc "From `time` on a new piece."
+  @doc "Begins a new segment at `time`."
   @spec cut(t(), Situ.Time.t()) :: :ok
   def cut(%{newest: newest}, time) do
     :atomics.add(newest, @number, 1)

@@ -1,10 +1,10 @@
 defmodule Situ.Store.Pieces.EarlierRuns do
   @moduledoc false
-  # The pieces that earlier runs of the same recorder left in its folder. A piece is marked in its catalog; any other
-  # recording of that name is neither counted nor deleted.
+  # Finds the segments that earlier runs of the same recorder left in its folder. Segments are marked in their catalogs.
+  # Other recordings of that name are neither counted nor deleted.
   alias Situ.Store.{Folder, Reading}
 
-  # A clock that shows a time before 2020 was not set.
+  # A clock that shows a time before 2020 had not been set.
   @first_set 1_577_836_800_000_000_000
 
   @type piece :: %{
@@ -15,8 +15,8 @@ defmodule Situ.Store.Pieces.EarlierRuns do
         }
 
   @doc """
-  Returns the pieces of `name` below `root`, oldest first. `ended` is by the monotonic clock, which reads `now` when the
-  wall clock reads `wall`. It is `nil` if the wall clock was not set then, or was set back since.
+  Returns the segments of `name` in `root`, oldest first. `ended` is a time of the monotonic clock, which reads `now`
+  when the wall clock reads `wall`. It is `nil` if the wall clock had not been set or has been set back since.
   """
   @spec list_pieces(String.t(), Path.t(), integer(), Situ.Time.t()) :: [piece()]
   def list_pieces(name, root, now, wall) do
@@ -39,7 +39,7 @@ defmodule Situ.Store.Pieces.EarlierRuns do
     end
   end
 
-  # The last piece of a run is incomplete and counts as long as the messages in it span.
+  # The last segment of a run is incomplete, so its duration is the time span of its messages.
   defp duration(%{full?: true, every: every}, _store) when is_integer(every), do: every
 
   defp duration(%{every: every}, store) when is_integer(every) do

@@ -1,11 +1,11 @@
 defmodule Situ.Store.Pieces.Retention do
   @moduledoc false
-  # Which pieces of a recording `keep:` has no room for. Originating times of messages do not count, because a single
-  # wrong one must not delete anything. Pieces cut by time count by their nominal length; for pieces cut by size, the
-  # moment counts at which they ended by the computer's clock, which the caller reads.
+  # Determines the segments of a recording that exceed `keep:`. Originating times of messages are not used, because a
+  # single incorrect time must not delete anything. Segments split by time count with their nominal length. For
+  # segments split by size, the time at which they ended by the computer's clock is used, which the caller reads.
 
   @typedoc """
-  A piece: its `size` in bytes, its `duration` in ns of originating time, and when it `ended` by the computer's clock.
+  A segment: its `size` in bytes, its `duration` in ns of originating time, and when it `ended` by the computer's clock.
   Unknown values are `nil`.
   """
   @type piece :: %{
@@ -15,8 +15,8 @@ defmodule Situ.Store.Pieces.Retention do
         }
 
   @doc """
-  Returns how many of the oldest pieces are to be deleted. `pieces` are the closed ones, oldest first. The `open` ones
-  are still being written: they count, but are not deleted. `now` is by the same clock as `ended`.
+  Returns how many of the oldest segments must be deleted. `pieces` are the closed segments, oldest first. The `open`
+  segments are still being written, so they count but are not deleted. `now` is from the same clock as `ended`.
   """
   @spec count_surplus(Situ.Store.Pieces.keep(), [piece()], [piece()], integer()) ::
           non_neg_integer()
@@ -28,7 +28,7 @@ defmodule Situ.Store.Pieces.Retention do
     |> count_beyond(sum(open, :size), fn newer, size -> newer + size <= most end)
   end
 
-  # Pieces are cut by time here. The newest is incomplete and does not count.
+  # These segments are split by time. The newest is incomplete and does not count.
   def count_surplus({:span, span}, pieces, [%{duration: duration} | _] = open, _now)
       when is_integer(duration) do
     pieces
@@ -36,7 +36,7 @@ defmodule Situ.Store.Pieces.Retention do
     |> count_beyond(open |> Enum.drop(-1) |> sum(:duration), fn newer, _ -> newer < span end)
   end
 
-  # A piece that ended that long ago is deleted, and with it all older ones, whatever the clock showed then.
+  # A segment that ended that long ago is deleted together with all older ones, regardless of their clock times.
   def count_surplus({:span, span}, pieces, _open, now) do
     pieces
     |> Enum.with_index(1)
@@ -47,7 +47,7 @@ defmodule Situ.Store.Pieces.Retention do
 
   defp sum(pieces, key), do: pieces |> Enum.map(& &1[key]) |> Enum.sum()
 
-  # Goes from the newest to the oldest for as long as `room?.(sum_of_newer, this)` holds.
+  # Counts the elements left over after keeping the newest ones while `room?.(sum_of_newer, this)` is true.
   defp count_beyond(amounts, start, room?) do
     amounts
     |> Enum.reverse()

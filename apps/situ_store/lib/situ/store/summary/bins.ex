@@ -1,10 +1,10 @@
 defmodule Situ.Store.Summary.Bins do
   @moduledoc false
-  # Signals and their bins. Pure.
+  # Computes signals and their bins. Pure.
   import Bitwise
   import Kernel, except: [floor: 1]
 
-  @doc "Points in time order as bins of width 2^level."
+  @doc "Combines points in time order into bins of width 2^level."
   @spec fold(Enumerable.t(), non_neg_integer()) :: [Situ.Store.Summary.bin()]
   def fold(points, level) do
     points
@@ -17,11 +17,11 @@ defmodule Situ.Store.Summary.Bins do
   defp absorb({_, low, high, last, n}, {start, min, max, _, count}),
     do: {start, min(min, low), max(max, high), last, count + n}
 
-  @doc "Where the bin of width 2^level that holds `time` starts."
+  @doc "Returns the start of the bin of width 2^level that contains `time`."
   @spec floor(Situ.Time.t(), non_neg_integer()) :: Situ.Time.t()
   def floor(time, level), do: time |> bsr(level) |> bsl(level)
 
-  @doc "The signal in one message, by its codec or as a number."
+  @doc "Returns the points of the signal in one message, by its codec or as a number."
   @spec points(Situ.Message.t()) :: [Situ.Codec.point()]
   def points(%{data: data, originating_time: time}) when is_number(data),
     do: [{time, data / 1, data / 1, data / 1, 1}]

@@ -1,6 +1,6 @@
 defmodule Situ.Store.Summary.Fold do
   @moduledoc false
-  # Summaries by reading every message: for readers that keep no pyramid, and as the reference of those that do.
+  # Summarizes by reading every message, for readers without a pyramid and as the reference for readers that have one.
   import Bitwise
   alias Situ.Store.{Handle, Reading, StreamInfo, Summary}
   alias Situ.Store.Summary.Bins
@@ -53,7 +53,7 @@ defmodule Situ.Store.Summary.Fold do
     error in Situ.Error -> {:error, error}
   end
 
-  # Per track, latest first: `{time, value}` of each of its messages.
+  # Collects `{time, value}` of each message for each track, latest first.
   defp fold(messages, level, seed) do
     {counts, order, values} =
       Enum.reduce(messages, {[], [], %{}}, fn %{originating_time: time, data: data},
@@ -70,7 +70,7 @@ defmodule Situ.Store.Summary.Fold do
     {Enum.reverse(counts), tracks}
   end
 
-  # Where there are truths, which have a signal too, numbers among them are not told.
+  # Omits numbers in a stream that also contains booleans, whose signal would otherwise mix with them.
   defp truths(tracks) do
     truths? =
       Enum.any?(tracks, fn {name, _, values, _} ->
@@ -122,7 +122,7 @@ defmodule Situ.Store.Summary.Fold do
     end
   end
 
-  # The part of a message that belongs to each track.
+  # Splits a message into the values of its tracks.
   defp parts(%module{} = data) do
     if Situ.Codec.implemented_by?(module), do: [], else: data |> Map.from_struct() |> fields()
   end
