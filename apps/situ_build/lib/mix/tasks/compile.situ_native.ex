@@ -1,16 +1,16 @@
 defmodule Mix.Tasks.Compile.SituNative do
   @moduledoc """
-  The Mix compiler that builds an app's Rust NIFs, and programs that it runs.
+  The Mix compiler that builds an app's Rust NIFs and helper programs.
 
   An app names its crates and lists the compiler first:
 
       compilers: [:situ_native] ++ Mix.compilers(),
       native: [crates: ~w(situ_store_nif), programs: ~w(situ_speak)]
 
-  Cargo runs on every compile (its own check of an unchanged tree takes about 60 ms) with `--locked --release`, from
-  `native/` at the umbrella's root. Each library is copied to `priv/native/CRATE.so` by rename, and only when its bytes
-  differ: overwriting a loaded library in place would kill the VM. A program is a package of its own in the app's folder
-  `native/`, without dependencies; it is copied to `priv/native/PROGRAM`.
+  Cargo runs on every compile, with `--locked --release`, in `native/` at the umbrella's root. For an unchanged tree its
+  own check takes about 60 ms. Each library is copied to `priv/native/CRATE.so` by rename, and only if its bytes differ:
+  overwriting a loaded library in place would crash the VM. A program is a separate package in the app's `native/`
+  folder, without dependencies; it is copied to `priv/native/PROGRAM`.
   """
   use Mix.Task.Compiler
 
@@ -70,7 +70,7 @@ defmodule Mix.Tasks.Compile.SituNative do
     end)
   end
 
-  # Progress when a person watches, silence when nothing is to do.
+  # Cargo's progress output is for people; by default an up-to-date build prints nothing.
   defp quiet(args),
     do: if(System.get_env("SITU_CARGO_VERBOSE"), do: args, else: args ++ ["--quiet"])
 

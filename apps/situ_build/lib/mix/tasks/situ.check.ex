@@ -1,21 +1,21 @@
 defmodule Mix.Tasks.Situ.Check do
-  @shortdoc "Checks the architecture: edges between apps, layers, cycles, sizes of files"
+  @shortdoc "Checks the architecture: dependencies between apps, layers, cycles, file sizes"
   @moduledoc """
-  Holds the compiled code and the sources against the architecture.
+  Checks the compiled code and the sources against the architecture.
 
       $ mix situ.check
 
-  It refuses
+  It reports:
 
-    * every reference from one app to another that `Situ.Build.Architecture` does not list, and dependencies in a
-      `mix.exs` beyond that table;
-    * every reference from a layer of the runtime to a higher one (`Situ.Build.Layers`);
-    * every cycle between the modules of an app and between the modules of a Rust crate (`Situ.Build.Cycles`);
-    * files and lines that are too long, sentences without an agent (`Situ.Build.Sources`).
+    * every reference from one app to another that `Situ.Build.Architecture` does not list, and every dependency in a
+      `mix.exs` that the table does not allow;
+    * every reference from a layer of the runtime to a higher layer (`Situ.Build.Layers`);
+    * every cycle between the modules of an app or of a Rust crate (`Situ.Build.Cycles`);
+    * files and lines that are too long, and sentences that begin with "What" (`Situ.Build.Sources`).
 
-  The compiler's own warnings see calls only. This check reads the debug information of every compiled module, in
-  which a struct literal (`%Sibling{}`) and a module name passed as a value are atoms like any other. Exit status:
-  0 fine, 1 with one line per violation.
+  The compiler's warnings cover only calls. This check reads the debug information of every compiled module, which
+  also contains struct literals (`%Sibling{}`) and module names passed as values. The exit status is 0 if there are
+  no violations. Otherwise it is 1, and each violation is printed on one line.
   """
   use Mix.Task
   alias Situ.Build.{Architecture, Cycles, Layers, Sources}

@@ -1,13 +1,13 @@
 defmodule Situ.Build.Architecture do
   @moduledoc """
-  Which app may use which: the whole architecture in one table, and the reader that holds compiled code against it.
+  The architecture: a table of the apps that each app may use, and functions that check compiled code against it.
   """
   alias Situ.Build.Beam
 
-  # The build tool may be named by any app; it is not there at run time.
+  # Any app may name the build tool, because it is not part of the running system.
   @build :situ_build
 
-  # From below: each app with those that it may use. Types stand below all others.
+  # From bottom to top: each app and the apps that it may use.
   @allowed %{
     situ_build: [],
     situ_types: [],
@@ -30,7 +30,7 @@ defmodule Situ.Build.Architecture do
            })
 
   @doc """
-  The apps that `app` may use.
+  Returns the apps that `app` may use.
 
       iex> Situ.Build.Architecture.allowed(:situ_infer)
       [:situ, :situ_media, :situ_types]
@@ -38,7 +38,7 @@ defmodule Situ.Build.Architecture do
   @spec allowed(atom()) :: [atom()]
   def allowed(app), do: Map.fetch!(@allowed, app)
 
-  @doc "Every compiled module of the project's apps below `lib`, by app."
+  @doc "Reads all compiled modules of the project's apps in `lib`, grouped by app."
   @spec modules(Path.t()) :: %{atom() => [Beam.t()]}
   def modules(lib) do
     Map.new(@allowed, fn {app, _} ->
@@ -47,7 +47,7 @@ defmodule Situ.Build.Architecture do
   end
 
   @doc """
-  One sentence for every reference between apps that the table does not allow.
+  Returns one sentence for each reference between apps that the table does not allow.
 
       iex> beam = fn module, names -> %Situ.Build.Beam{module: module, names: names, source: "", calls: []} end
       iex> Situ.Build.Architecture.violations(%{situ: [beam.(A, [B])], situ_store: [beam.(B, [A])]})
@@ -69,7 +69,7 @@ defmodule Situ.Build.Architecture do
   end
 
   @doc """
-  One sentence for every dependency declared in a `mix.exs` beyond the table.
+  Returns one sentence for each dependency in a `mix.exs` that the table does not allow.
 
       iex> Situ.Build.Architecture.undeclared(%{situ: [:situ_media]})
       ["apps/situ/mix.exs declares situ_media, which the architecture does not allow"]

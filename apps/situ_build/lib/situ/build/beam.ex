@@ -1,16 +1,16 @@
 defmodule Situ.Build.Beam do
   @moduledoc """
-  A compiled module as the checks see it: its name, its source file, and what its code names and calls.
+  A compiled module as the checks see it: its name, its source file, and the atoms and modules that its code uses.
 
-  All of it comes from the debug information that the compiler writes, so a beam compiled without it is an error.
+  This information comes from the compiler's debug information, so a beam file without it raises an error.
   """
 
   @enforce_keys [:module, :source, :names, :calls]
   defstruct [:module, :source, :names, :calls]
 
   @typedoc """
-  `names` holds every atom that the code mentions (struct literals and modules passed as values are atoms like any
-  other), `calls` every module that it calls a function of or captures one from.
+  `names` holds every atom that the code mentions; struct literals and modules passed as values are atoms, too.
+  `calls` holds every module whose functions the code calls or captures.
   """
   @type t :: %__MODULE__{
           module: module(),
@@ -19,11 +19,11 @@ defmodule Situ.Build.Beam do
           calls: MapSet.t(module())
         }
 
-  @doc "Reads every beam of `ebin`, a folder of compiled modules."
+  @doc "Reads all compiled modules in the folder `ebin`."
   @spec read_all(Path.t()) :: [t()]
   def read_all(ebin), do: ebin |> Path.join("*.beam") |> Path.wildcard() |> Enum.map(&read/1)
 
-  @doc "Reads one beam. Raises where it has no debug information."
+  @doc "Reads one compiled module. Raises if it has no debug information."
   @spec read(Path.t()) :: t()
   def read(path) do
     {:ok, {module, chunks}} =
@@ -46,7 +46,7 @@ defmodule Situ.Build.Beam do
   defp names(map, found) when is_map(map), do: names(Map.to_list(map), found)
   defp names(_other, found), do: found
 
-  # `M.f(...)` and `&M.f/1` in Erlang's abstract form.
+  # Matches `M.f(...)` and `&M.f/1` in Erlang's abstract form.
   defp calls({:remote, _, {:atom, _, module}, function}, found),
     do: calls(function, MapSet.put(found, module))
 

@@ -1,6 +1,6 @@
 defmodule Situ.Build.Cycles do
   @moduledoc """
-  Groups of things that use each other in a circle.
+  Finds groups of modules that use each other in a cycle.
 
       iex> Situ.Build.Cycles.find(%{a: [:b], b: [:c], c: [:a], d: [:a]})
       [[:a, :b, :c]]
@@ -10,8 +10,8 @@ defmodule Situ.Build.Cycles do
   alias Situ.Build.Beam
 
   @doc """
-  The strongly connected groups of more than one node, each sorted, the largest first. Uses of nodes that are not keys
-  of the map, and of a node by itself, do not count.
+  Returns the strongly connected groups of more than one node, each sorted, with the largest group first. Uses of nodes
+  that are not keys of the map, and uses of a node by itself, are ignored.
   """
   @spec find(%{optional(node) => Enumerable.t()}) :: [[node, ...]] when node: term()
   def find(uses) do
@@ -29,13 +29,13 @@ defmodule Situ.Build.Cycles do
     groups |> Enum.map(&Enum.sort/1) |> Enum.sort_by(&{-length(&1), &1})
   end
 
-  @doc "The cycles of calls between these modules."
+  @doc "Finds the cycles of calls between these modules."
   @spec of_modules([Beam.t()]) :: [[module(), ...]]
   def of_modules(beams), do: beams |> Map.new(&{&1.module, &1.calls}) |> find()
 
   @doc """
-  The cycles between the files of one Rust crate, whose sources are in `src`: a file uses the modules that it names
-  behind `crate::`. `lib.rs` declares all others and takes no part.
+  Finds the cycles between the files of one Rust crate, whose sources are in `src`. A file uses the modules that it
+  names after `crate::`. `lib.rs` is ignored because it declares all other modules.
   """
   @spec of_crate(Path.t()) :: [[String.t(), ...]]
   def of_crate(src) do
@@ -57,7 +57,7 @@ defmodule Situ.Build.Cycles do
     |> Enum.join("::")
   end
 
-  # `use crate::a::b::Type` names the longest module of that path; tests and comments do not count.
+  # `use crate::a::b::Type` uses the longest module name in that path. Tests and comments are ignored.
   defp rust_uses(text, names) do
     code = text |> String.split("#[cfg(test)]") |> hd() |> String.replace(~r{//.*}, "")
 

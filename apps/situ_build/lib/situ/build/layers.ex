@@ -1,20 +1,20 @@
 defmodule Situ.Build.Layers do
   @moduledoc """
-  The layers inside the runtime: a module may name those of its own layer and of the layers below it.
+  The layers of the runtime: a module may only name modules of the same layer and of lower layers.
 
-  The folder of a module's source file is its layer; `situ.ex` is the topmost. `application.ex`, which starts what the
-  layers need, and `testing/` may name all.
+  The folder of a module's source file is its layer; `situ.ex` is the top layer. `application.ex`, which starts the
+  processes that the layers need, and `testing/` may name all layers.
 
   | layer | holds |
   |---|---|
-  | `clock` | clocks, and by which one a pipeline runs, from when to when |
+  | `clock` | clocks, and the choice of a pipeline's clock, start and end |
   | `graph` | the graph of components as data: vertices, edges, plans, policies, the behaviours of components |
   | `ports` | inputs and outputs of a running component: queues, demand, posting rules, counters |
-  | `stage` | the process of one component or chain: its turns, timers, errors |
-  | `lifecycle` | the life of a pipeline as a pure state machine |
-  | `diagnostics` | what a pipeline looks like from outside: snapshots, means, tables |
-  | `application` | what all pipelines of a node share: who runs, last results, the reaper, new versions of modules |
-  | `pipeline` | the process of one pipeline: performs what the life cycle decides |
+  | `stage` | the process of one component or chain: its time slices, timers, errors |
+  | `lifecycle` | the life cycle of a pipeline as a pure state machine |
+  | `diagnostics` | the state of a pipeline for observers: snapshots, means, tables |
+  | `application` | state shared by all pipelines of a node: the registry, last results, the reaper, code upgrades |
+  | `pipeline` | the process of one pipeline, which executes the decisions of the life cycle |
   | `connectors` | ways into and out of a running pipeline: collectors, taps, connectors, GenStage |
   | `operators` | stream functions: fusion, windows, statistics, generators, parallel branches |
   | `situ.ex` | the facade |
@@ -25,7 +25,7 @@ defmodule Situ.Build.Layers do
   @order ~w(clock graph ports stage lifecycle diagnostics application pipeline connectors operators)
 
   @doc """
-  The number of the layer that a source file belongs to, from 0; `:any` where the file stands outside the layers.
+  Returns the index of the layer that a source file belongs to, from 0, or `:any` if the file is in no layer.
 
       iex> Situ.Build.Layers.layer("/x/apps/situ/lib/situ/graph/graph.ex")
       1
@@ -43,14 +43,14 @@ defmodule Situ.Build.Layers do
     end
   end
 
-  @doc "The names of the layers from below, with the number of modules in each."
+  @doc "Returns the names of the layers, lowest first, with the number of modules in each."
   @spec counts([Beam.t()]) :: [{String.t(), non_neg_integer()}]
   def counts(beams) do
     by_layer = Enum.frequencies_by(beams, &layer(&1.source))
     for {name, n} <- Enum.with_index(@order ++ ["situ.ex"]), do: {name, Map.get(by_layer, n, 0)}
   end
 
-  @doc "One sentence for every module that names one of a higher layer."
+  @doc "Returns one sentence for each reference from a module to a module of a higher layer."
   @spec violations([Beam.t()]) :: [String.t()]
   def violations(beams) do
     layers = for beam <- beams, n = layer(beam.source), n != :any, into: %{}, do: {beam.module, n}

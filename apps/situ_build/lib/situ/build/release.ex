@@ -1,19 +1,19 @@
 defmodule Situ.Build.Release do
   @moduledoc """
-  A step of `mix release` that leaves nothing open to other users of the machine.
+  A step of `mix release` that removes the cookie, so that other users of the machine cannot read it.
 
       releases: [situ: [steps: [:assemble, &Situ.Build.Release.close/1]]]
 
-  Mix writes the cookie, which lets anybody who knows it run code in the release, into a file that everybody may read,
-  and puts it on the command line, which everybody may read too. After this step a release has no cookie of its own:
-  a node that is started with `RELEASE_DISTRIBUTION=sname` uses `~/.erlang.cookie` of its user, which Erlang keeps
-  readable for that user alone. Without that variable a release listens to nobody (`rel/env.sh.eex`).
+  Anyone who knows the cookie can run code in the release. Mix writes it into a world-readable file and puts it on the
+  command line, which all users can read, too. After this step the release contains no cookie: a node started with
+  `RELEASE_DISTRIBUTION=sname` uses its user's `~/.erlang.cookie`, which only that user can read. Without that variable
+  a release does not listen for other nodes (`rel/env.sh.eex`).
   """
 
   @cookie ~r/ *--cookie "\$RELEASE_COOKIE"( \\\n)?/
   @read ~r/RELEASE_COOKIE=.*\nexport RELEASE_COOKIE\n/
 
-  @doc "Takes the cookie out of the assembled release's script and folder. Raises where Mix's script has another shape."
+  @doc "Removes the cookie from the assembled release's script and folder. Raises if Mix's script has an unknown form."
   @spec close(Mix.Release.t()) :: Mix.Release.t()
   def close(release) do
     script = Path.join([release.path, "bin", to_string(release.name)])
@@ -23,7 +23,7 @@ defmodule Situ.Build.Release do
   end
 
   @doc ~S"""
-  The text of a release's script, without the cookie.
+  Returns the text of a release's script without the cookie.
 
       iex> exec = "exec elixir --hidden --cookie \"$RELEASE_COOKIE\" \\\n  --boot b\n"
       iex> Situ.Build.Release.without_cookie("RELEASE_COOKIE=x\nexport RELEASE_COOKIE\n" <> exec)
@@ -35,9 +35,9 @@ defmodule Situ.Build.Release do
 
     if String.contains?(closed, "COOKIE") or closed == script do
       Mix.raise("""
-      the release's script names its cookie in a way this step does not know
-        Why: another version of Mix writes another script, and a cookie on the command line is readable by every user
-        Fix: look for COOKIE in the script and extend Situ.Build.Release
+      the release's script uses its cookie in a way that this step does not recognize
+        Why: this version of Mix writes a different script, and every user can read a cookie on the command line
+        Fix: search for COOKIE in the script and extend Situ.Build.Release
       """)
     end
 

@@ -1,21 +1,21 @@
 defmodule Situ.Build.Sources do
   @moduledoc """
-  Rules of the sources' text, for Elixir, HEEx, Rust, JavaScript, CSS, scripts and documents alike.
+  Checks the text of sources: Elixir, HEEx, Rust, JavaScript, CSS, scripts and documents.
 
-  A file holds at most 300 lines of code (blank lines, comments and documentation do not count), a line at most
-  120 characters (tables, links and images of documents, and commands of scripts, may be longer). No sentence begins
-  with "What" as its subject: it hides who does it.
+  A file has at most 300 lines of code (blank lines, comments and documentation are not counted). A line has at most
+  120 characters; in documents, lines with tables, links and images may be longer, and so may commands in scripts. No
+  sentence begins with "What" as its subject, because such a sentence hides the agent.
   """
 
   @max_line 120
   @max_code 300
   @kinds ~w(.ex .exs .heex .rs .js .mjs .css .md)
-  # A line's or sentence's first word, perhaps behind the signs of a comment, list or text; a question is none of these.
+  # The first word of a line or sentence, possibly after a comment, list or quotation mark. Questions are allowed.
   @what_subject ~r/(?:^[ #>\/*-]*|[.:!] |")What [a-z][^.?!]*[.!]/m
   @code ~w(.ex .rs .js .mjs)
 
   @doc """
-  One sentence for every file of the checkout at `root` that git tracks and that breaks a rule, with the line.
+  Returns one sentence, with the line, for each rule that a file tracked by git in the checkout at `root` breaks.
   """
   @spec violations(Path.t()) :: [String.t()]
   def violations(root) do
@@ -25,7 +25,7 @@ defmodule Situ.Build.Sources do
   end
 
   @doc """
-  The same for one file's text.
+  Returns the same sentences for the text of one file.
 
       iex> Situ.Build.Sources.problems("a.ex", "x = 1")
       []
@@ -62,7 +62,7 @@ defmodule Situ.Build.Sources do
   end
 
   @doc """
-  How many of these lines are code.
+  Returns the number of these lines that are code.
 
       iex> Situ.Build.Sources.code_lines(".rs", ["// why", "", "fn main() {}"])
       1
@@ -72,7 +72,7 @@ defmodule Situ.Build.Sources do
     lines |> Enum.reduce({0, nil}, &count(kind, String.trim(&1), &2)) |> elem(0)
   end
 
-  # Rust's unit tests stand at the end of the file that they test.
+  # In Rust, unit tests are at the end of the file that they test.
   defp without_tests(".rs", lines), do: Enum.take_while(lines, &(&1 != "#[cfg(test)]"))
   defp without_tests(_kind, lines), do: lines
 
@@ -84,7 +84,7 @@ defmodule Situ.Build.Sources do
 
   defp too_much_code(_file, _kind, _n), do: []
 
-  # Documentation runs from a line that opens a heredoc behind an attribute to the line that closes it.
+  # Documentation begins with a line that has an attribute and opens a heredoc; it ends with the line that closes it.
   defp count(".ex", "\"\"\"" <> _, {n, :doc}), do: {n, nil}
   defp count(_kind, _line, {n, :doc}), do: {n, :doc}
   defp count(_kind, "", counted), do: counted
@@ -103,7 +103,7 @@ defmodule Situ.Build.Sources do
   defp count(_kind, "/*" <> _, counted), do: counted
   defp count(_kind, _line, {n, nil}), do: {n + 1, nil}
 
-  # A table's row, a link or a picture cannot be broken; nor can a long word.
+  # Table rows, links, images and long words cannot be broken.
   defp unbreakable?(".md", line), do: String.contains?(line, ["|", "](", "://"])
 
   defp unbreakable?(_kind, line),
@@ -118,7 +118,7 @@ defmodule Situ.Build.Sources do
     |> Enum.reject(&String.contains?(&1, ["/vendor/", "/fixtures/"]))
   end
 
-  # Scripts have no extension: they are in bin/, and called `run` in test/. Their lines may be as long as a command is.
+  # Scripts have no extension: they are in bin/, or are called `run` in test/. Their lines may have any length.
   defp source?(path) do
     Path.extname(path) in @kinds or
       (Path.extname(path) == "" and (match?("bin/" <> _, path) or Path.basename(path) == "run"))
