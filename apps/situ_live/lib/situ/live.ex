@@ -1,8 +1,7 @@
 defmodule Situ.Live do
   @moduledoc """
-  Web pages that live on the server, spoken to by the stock `phoenix_live_view` JavaScript client; and the HTTP and
-  WebSocket
-  server below them. Knows nothing of streams or stores.
+  Serves web pages whose state lives on the server and that use the stock `phoenix_live_view` JavaScript client. It
+  includes the HTTP and WebSocket server, and does not depend on streams or stores.
 
       defmodule Hello do
         use Situ.Live.View
@@ -26,12 +25,11 @@ defmodule Situ.Live do
 
       children = [{Situ.Live, port: 4040, routes: routes, layout: &MyLayout.root/1}]
 
-  The pieces: `Situ.Live.View` (callbacks), `Situ.Live.Template` (`~H`), `Situ.Live.Component` (function components,
-  slots,
-  islands), `Situ.Live.Socket` (assign, push_event, push_patch, streams ...), `Situ.Live.JS` (commands),
-  `Situ.Live.Route`
-  (routes), `Situ.Live.Request` and `Situ.Live.Response` (HTTP), `Situ.Live.SocketHandler` (WebSockets of your own),
-  `Situ.Live.Token`, `Situ.Live.Test` (tests of views without a browser).
+  The main modules are `Situ.Live.View` (callbacks), `Situ.Live.Template` (`~H`), `Situ.Live.Component` (function
+  components, slots, islands), `Situ.Live.Socket` (assign, push_event, push_patch, streams ...), `Situ.Live.JS`
+  (commands), `Situ.Live.Route` (routes), `Situ.Live.Request` and `Situ.Live.Response` (HTTP),
+  `Situ.Live.SocketHandler` (custom WebSockets), `Situ.Live.Token`, and `Situ.Live.Test` (tests of views without a
+  browser).
 
   ## The page's script
 
@@ -41,42 +39,40 @@ defmodule Situ.Live do
 
       new LiveSocket("/live", Socket, {params: connectParams, hooks: {SituFlow, ...mine}}).connect()
 
-  `SituFlow` acknowledges each diff that the server sent by itself, so that only one is under way; without it nothing
-  breaks,
-  but a slow browser may fall behind. The layout is a component that gets `@page_title` and `@inner_content` and
-  writes the
-  `<html>` element, with a `<script defer src=...>`: scripts inside the page are refused by its content security policy.
+  `SituFlow` acknowledges each diff that the server sends on its own initiative, so that only one is in flight. Pages
+  work without it, but a slow browser may lag. The layout is a component that receives `@page_title` and
+  `@inner_content` and writes the `<html>` element, with a `<script defer src=...>`. The content security policy
+  blocks inline scripts.
 
-  ## Limits and refusals
+  ## Limits and access control
 
-  The server listens on `127.0.0.1` unless told otherwise; elsewhere a token is required, made new at each start
-  unless given:
-  `url/2` returns the address with it, opening that sets a cookie. Every request is checked for its host name (against
-  DNS rebinding), token, and, where it matters, origin. Heads (to about 128 KiB), bodies, frames, numbers of
-  connections and
-  waiting times are bounded.
+  The server listens on `127.0.0.1` by default. On any other address a token is required; unless one is given, a new
+  one is generated at each start. `url/2` returns the address with the token, and opening it sets a cookie. Every
+  request is checked for its host name (against DNS rebinding), its token, and, where it matters, its origin.
+  Request heads (about 128 KiB), bodies, frames, the number of connections and waiting times are limited.
 
   ## Options
 
     * `:routes` - see `Situ.Live.Route`; required
-    * `:port` - default 4040; 0 takes a free one (see `port/1`)
+    * `:port` - default 4040; 0 picks a free port (see `port/1`)
     * `:ip` - the address to listen on, default `{127, 0, 0, 1}`
-    * `:token` - `:auto` (default: none on a loopback address, random elsewhere), text, or `:none` (loopback only)
-    * `:viewer_token` - a second token for those who may only look: `:auto` (default: random where there is a token),
-      text (then there is a token, too), or `:none`. Requests that come with it have the `role` `:viewer`
-      (`Situ.Live.Request`); what these may do is up to the views, whose `session` may be a function of the request
-    * `:secret` - signs the pages; random at each start by default, after which open pages load themselves again
+    * `:token` - `:auto` (default: none on a loopback address, random elsewhere), a string, or `:none` (loopback only)
+    * `:viewer_token` - a second token for view-only access: `:auto` (default: random if the server has a token), a
+      string (the server then has a token, too), or `:none`. Requests with it have the `role` `:viewer`
+      (`Situ.Live.Request`). The views decide what a viewer may do; their `session` may be a function of the request
+    * `:secret` - signs the pages; random at each start by default, so open pages reload after a restart
     * `:layout` - the component that writes the page around a view
-    * `:hosts` - names the server answers for: `:any`, or a list; default the loopback names there, `:any` elsewhere
-    * `:origins` - foreign origins that may connect, such as `"https://lab.example.org"`
+    * `:hosts` - host names that the server accepts: `:any`, or a list; default the loopback names on a loopback
+      address, `:any` elsewhere
+    * `:origins` - other origins that may connect, such as `"https://lab.example.org"`
     * `:public` - the address under which browsers reach the server through a proxy, such as
-      `"https://lab.example.org/studio"`: its host and origin are let in, its path is taken off requests, and cookies,
-      redirects and `url/2` are made for it
-    * `:images` - further origins that pictures of the pages may come from, such as `"https://tiles.example.org"`
+      `"https://lab.example.org/studio"`. Its host and origin are accepted, its path is stripped from requests, and
+      cookies, redirects and `url/2` use it
+    * `:images` - additional origins from which pages may load images, such as `"https://tiles.example.org"`
     * `:headers` - headers added to every response
-    * `:max_body`, `:max_frame` - bytes, default 1,000,000 each; `:max_sockets` - WebSockets at a time, default 500
-    * `:body_ms` - how long the whole of a body may take to come, default 30,000
-    * `:flow` - `interval_ms:` between diffs the server sends by itself (default 33)
+    * `:max_body`, `:max_frame` - bytes, default 1,000,000 each; `:max_sockets` - concurrent WebSockets, default 500
+    * `:body_ms` - the maximum time to receive a complete body, default 30,000
+    * `:flow` - `interval_ms:` between diffs that the server sends on its own initiative (default 33)
     * `:tls` - `certfile:` and `keyfile:`
     * `:name` - a registered name of the server's supervisor
   """
@@ -108,7 +104,7 @@ defmodule Situ.Live do
     {"cross-origin-resource-policy", "same-origin"}
   ]
 
-  @doc "A child of a supervision tree; `id:` is the name or the port, so that several fit."
+  @doc "Returns a child spec whose `id` contains the name or the port, so that several servers fit in one supervisor."
   @spec child_spec(keyword()) :: Supervisor.child_spec()
   def child_spec(opts) do
     id = {__MODULE__, opts[:name] || opts[:port] || 4040}
@@ -116,8 +112,8 @@ defmodule Situ.Live do
   end
 
   @doc """
-  Starts a server. A port in use, a missing certificate ... is `{:error, %Situ.Error{}}`; a wrong option raises
-  `ArgumentError`.
+  Starts a server. Returns `{:error, %Situ.Error{}}` for runtime problems such as a port in use; raises
+  `ArgumentError` for an invalid option.
   """
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(opts) do
@@ -126,13 +122,14 @@ defmodule Situ.Live do
         :ok
 
       unknown ->
-        raise ArgumentError, "unknown options #{inspect(unknown)}; known: #{inspect(@known)}"
+        raise ArgumentError,
+              "unknown options #{inspect(unknown)}; valid options: #{inspect(@known)}"
     end
 
     start(opts, if(opts[:port] == 0, do: 5, else: 1))
   end
 
-  # A free port may be taken by another before it is listened on.
+  # Another program may take the free port before the server listens on it.
   defp start(opts, tries) do
     with {:ok, config} <- config(opts),
          options = Keyword.take(opts, [:name]),
@@ -190,7 +187,7 @@ defmodule Situ.Live do
     case Keyword.get(opts, :port, 4040) do
       0 -> Yaws.free_port(ip)
       port when port in 1..65_535 -> {:ok, port}
-      other -> raise ArgumentError, "port: takes 0 to 65535, got: #{inspect(other)}"
+      other -> raise ArgumentError, "port: must be 0 to 65535, got: #{inspect(other)}"
     end
   end
 
@@ -208,13 +205,15 @@ defmodule Situ.Live do
 
   defp token(:none, false) do
     {:error,
-     Error.new(:token_required, "a server that others can reach needs a token",
-       fix: "leave token: out (one is made), or give one of 8 characters or more"
+     Error.new(
+       :token_required,
+       "a token is required when the server is not on a loopback address",
+       fix: "omit token: to have one generated, or give a token of at least 8 characters"
      )}
   end
 
   defp token(text, _) when is_binary(text) do
-    {:error, Error.new(:weak_token, "a token has 8 characters or more")}
+    {:error, Error.new(:weak_token, "a token must have at least 8 characters")}
   end
 
   defp viewer(_, nil), do: {:ok, nil}
@@ -223,8 +222,8 @@ defmodule Situ.Live do
 
   defp viewer(same, same) do
     {:error,
-     Error.new(:weak_token, "those who may only look need a token of their own",
-       fix: "give token: and viewer_token: that differ"
+     Error.new(:weak_token, "the viewer token is the same as the owner's token",
+       fix: "give different values for token: and viewer_token:"
      )}
   end
 
@@ -242,25 +241,25 @@ defmodule Situ.Live do
     Supervisor.init(children, strategy: :rest_for_one)
   end
 
-  @doc "The port a server listens on."
+  @doc "Returns the port that a server listens on."
   @spec port(Supervisor.supervisor()) :: :inet.port_number()
   def port(server), do: endpoint(server).port
 
-  @doc "The address of a path, with the token when there is one."
+  @doc "Returns the URL of a path, including the token if the server has one."
   @spec url(Supervisor.supervisor(), String.t()) :: String.t()
   def url(server, path \\ "/") do
     config = endpoint(server)
     address(config, path, config.token)
   end
 
-  @doc "The address of a path for one who may only look; `nil` where the server has no token for that."
+  @doc "Returns the view-only URL of a path, or `nil` if the server has no viewer token."
   @spec viewer_url(Supervisor.supervisor(), String.t()) :: String.t() | nil
   def viewer_url(server, path \\ "/") do
     config = endpoint(server)
     if config.viewer, do: address(config, path, config.viewer)
   end
 
-  @doc "The token of those who may only look, as a view of the server may tell it; `nil` where there is none."
+  @doc "Returns the viewer token of the view's server, or `nil` if there is none."
   @spec viewer_token(Situ.Live.Socket.t()) :: String.t() | nil
   def viewer_token(%{endpoint: ref}) do
     case Endpoint.fetch(ref) do
@@ -277,7 +276,8 @@ defmodule Situ.Live do
 
   defp host({127, 0, 0, 1}), do: "localhost"
   defp host({0, 0, 0, 0, 0, 0, 0, 1}), do: "localhost"
-  # Who listens everywhere wants others to come: the name by which this machine is known.
+
+  # A server on all interfaces expects remote visitors, so its URL contains this machine's host name.
   defp host(any) when any in [{0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0, 0}] do
     case :inet.gethostname() do
       {:ok, name} -> to_string(name)

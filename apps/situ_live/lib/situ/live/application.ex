@@ -1,7 +1,7 @@
 defmodule Situ.Live.Application do
   @moduledoc false
-  # Situ.Live.Registry    names of the processes of each server
-  # Situ.Live.Connections one entry per open WebSocket, by server (counted and swept)
+  # Situ.Live.Registry    process names, by server
+  # Situ.Live.Connections one entry per open WebSocket, by server; used to count them and to end idle ones
   # Situ.Live.Yaws        the one embedded web server of this VM; idle until a server listens
   use Application
 

@@ -1,14 +1,14 @@
 defmodule Situ.Live.Channel do
   @moduledoc false
   # The connection of one page: Phoenix Channels, version 2, over one WebSocket; `[join_ref, ref, topic, event,
-  # payload]`.
-  # Views live in processes of their own; this one routes, counts and answers for them when they are gone.
+  # payload]`. Each view runs in a separate process. This process routes and counts messages, and replies on behalf of
+  # views that have ended.
   @behaviour Situ.Live.SocketHandler
   alias Situ.JSON
   alias Situ.Live.{Endpoint, Page, Token, ViewServer}
 
   @session_age_s 14 * 86_400
-  # More unanswered messages than a person can make: the connection is closed.
+  # No person can cause this many pending messages, so the connection is closed.
   @max_pending 500
   @max_topics 20
 
@@ -41,7 +41,7 @@ defmodule Situ.Live.Channel do
     end
   end
 
-  # Uploads go over HTTP; nothing else of the protocol is binary.
+  # Uploads use HTTP; nothing else in the protocol is binary.
   def handle_in({_, opcode: :binary}, state), do: {:stop, {1003, "text only"}, state}
 
   defp message({_, ref, "phoenix", "heartbeat"}, _, state),
@@ -69,7 +69,7 @@ defmodule Situ.Live.Channel do
       reason when is_binary(reason) ->
         {:push, reply(join_ref, ref, topic, "error", %{"reason" => reason}), state}
 
-      # The page must be loaded again: its token is old or not ours, or its address is no view.
+      # The page must be reloaded: its token is too old or invalid, or its address does not lead to a view.
       _ ->
         {:push, reply(join_ref, ref, topic, "error", %{"reason" => "stale"}), state}
     end
@@ -116,7 +116,7 @@ defmodule Situ.Live.Channel do
   def handle_info({:situ_live, topic, ref, text}, state) do
     pending = if ref == nil, do: state.pending, else: max(state.pending - 1, 0)
     state = %{state | pending: pending}
-    # Messages of a view that the page has left are for nobody.
+    # Nothing receives messages of a view that the page has left.
     if is_map_key(state.topics, topic), do: {:push, {:text, text}, state}, else: {:ok, state}
   end
 
@@ -128,7 +128,7 @@ defmodule Situ.Live.Channel do
         state = %{state | monitors: monitors, topics: Map.delete(state.topics, topic), pending: 0}
         {:push, {:text, text}, state}
 
-      # The server's views are gone: so is the server.
+      # Without the supervisor of its views the server has stopped, too.
       {nil, _} ->
         if views(state.config) == nil,
           do: {:stop, {1001, "the server has stopped"}, state},
@@ -142,7 +142,7 @@ defmodule Situ.Live.Channel do
   defp crashed?({:shutdown, _}), do: false
   defp crashed?(reason), do: reason not in [:normal, :shutdown]
 
-  # A join replaces what was joined under the same topic.
+  # A join replaces the view that was joined under the same topic.
   defp drop(topic, state) do
     case Map.pop(state.topics, topic) do
       {nil, _} ->

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Component do
   @moduledoc """
-  Function components: functions of `assigns` that return `~H`.
+  Function components are functions of `assigns` that return `~H`.
 
       defmodule Buttons do
         use Situ.Live.Component
@@ -18,9 +18,8 @@ defmodule Situ.Live.Component do
 
       <Buttons.button kind="warm" phx-click="go">Go</Buttons.button>
 
-  `attr` fills in defaults and complains about a missing one that is required; `:global` gathers the attributes that
-  are not
-  named. Types are documentation.
+  `attr` fills in defaults and raises if a required attribute is missing. `:global` collects the attributes that are
+  not declared. Types only document the component.
   """
   alias Situ.Live.{Island, Rendered}
 
@@ -50,18 +49,18 @@ defmodule Situ.Live.Component do
     end
   end
 
-  @doc "Declares an attribute of the component that follows; options `default:`, `required:`, `doc:`."
+  @doc "Declares an attribute of the next component; options `default:`, `required:`, `doc:`."
   defmacro attr(name, type, opts \\ []) do
     quote do: @situ_live_attrs({:attr, unquote(name), unquote(type), unquote(opts)})
   end
 
-  @doc "Declares a slot of the component that follows; options `required:`, `doc:`."
+  @doc "Declares a slot of the next component; options `required:`, `doc:`."
   defmacro slot(name, opts \\ []) do
     opts = if is_list(opts), do: Keyword.delete(opts, :do), else: opts
     quote do: @situ_live_attrs({:slot, unquote(name), :slot, unquote(opts)})
   end
 
-  @doc "As `slot/2`; the attributes declared in the block are documentation."
+  @doc "Declares a slot like `slot/2`; the attributes in the block only document it."
   defmacro slot(name, opts, do: _block), do: quote(do: slot(unquote(name), unquote(opts)))
 
   @doc false
@@ -124,7 +123,7 @@ defmodule Situ.Live.Component do
     end
   end
 
-  @doc "Renders a slot; `argument` is what its `:let` takes."
+  @doc "Renders a slot, with `argument` bound to the pattern of its `:let`."
   @spec render_slot([map()], term()) :: term()
   def render_slot(slots, argument \\ nil)
   def render_slot([], _), do: nil
@@ -134,13 +133,13 @@ defmodule Situ.Live.Component do
   def render_slot(slots, argument), do: Enum.map(slots, & &1.inner_block.(argument))
 
   @doc """
-  A part of the page that the browser patches alone: a change inside it costs the browser the size of the island, a
-  change
-  outside does not touch it. Worth it around large or often changing parts (a table, a row that ticks).
+  Renders a part of the page that the browser patches separately. A change inside costs the browser time in proportion
+  to the island's size, and a change outside does not touch it. Use islands for large or frequently changing parts (a
+  table, a row that ticks).
 
       <.island><table id="rows">...</table></.island>
 
-  Its content must be exactly one tag.
+  The content must be exactly one tag.
   """
   @spec island(map()) :: Rendered.t()
   def island(assigns) do
@@ -153,12 +152,13 @@ defmodule Situ.Live.Component do
         }
 
       _ ->
-        raise ArgumentError, "an island holds exactly one tag, without :if or :for on it"
+        raise ArgumentError, "an island must contain exactly one tag, without :if or :for on it"
     end
   end
 
   @doc """
-  A link: `patch=` stays in the view, `navigate=` changes the view on the same connection, `href=` loads a page.
+  Renders a link: `patch=` stays in the view, `navigate=` changes the view on the same connection, and `href=` loads a
+  page.
   """
   @spec link(map()) :: Rendered.t()
   def link(assigns) do
@@ -186,13 +186,13 @@ defmodule Situ.Live.Component do
     }
   end
 
-  # A stored name must not become a script.
+  # Prevents a stored name from becoming a script.
   defp safe_href(to) do
     if to
        |> String.trim()
        |> String.downcase()
        |> String.starts_with?(["javascript:", "data:", "vbscript:"]),
-       do: raise(ArgumentError, "not a link target: #{inspect(to)}"),
+       do: raise(ArgumentError, "invalid link target: #{inspect(to)}"),
        else: to
   end
 end

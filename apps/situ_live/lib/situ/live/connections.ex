@@ -1,7 +1,7 @@
 defmodule Situ.Live.Connections do
   @moduledoc false
-  # The open WebSockets of each server, with the time something last came from each of them. A process blocked in
-  # reading or writing cannot watch itself, so `sweep/2` is called from outside.
+  # The open WebSockets of each server, with the time of the last message from each. A process that is blocked in a read
+  # or write cannot watch itself, so `sweep/2` is called from another process.
 
   @spec register(reference()) :: :atomics.atomics_ref()
   def register(ref) do
@@ -17,12 +17,12 @@ defmodule Situ.Live.Connections do
   @spec count(reference()) :: non_neg_integer()
   def count(ref), do: length(pids(ref))
 
-  # A registry learns of a process's end a moment after its monitors do.
+  # The registry removes an ended process slightly later than its monitors are notified.
   @spec pids(reference()) :: [pid()]
   def pids(ref),
     do: for({pid, _} <- Registry.lookup(__MODULE__, ref), Process.alive?(pid), do: pid)
 
-  @doc "Ends those from which nothing came for `idle_ms`; returns how many."
+  @doc "Kills connections that sent nothing for `idle_ms`; returns their number."
   @spec sweep(reference(), integer()) :: non_neg_integer()
   def sweep(ref, idle_ms) do
     now = System.monotonic_time(:millisecond)

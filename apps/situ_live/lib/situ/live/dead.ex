@@ -1,6 +1,6 @@
 defmodule Situ.Live.Dead do
   @moduledoc false
-  # The first HTML of a page: the view rendered once without a browser, in the layout, with its signed session.
+  # The first HTML of a page: the view is rendered once without a browser, in the layout, with its signed session.
   alias Situ.Live.{Html, Page, Public, Request, Response, Route, Socket, Token}
 
   @csp "default-src 'self'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; " <>
@@ -58,7 +58,7 @@ defmodule Situ.Live.Dead do
 
   use Situ.Live.Component
 
-  @doc "The layout of a server that has none of its own; its script is /app.js."
+  @doc "Renders the default layout, which loads `/app.js`."
   def layout(assigns) do
     ~H"""
     <html lang="en">

@@ -1,13 +1,14 @@
 defmodule Situ.Live.Diff do
   @moduledoc """
-  The difference between what a browser shows and a newly rendered tree, in the form that the LiveView client merges.
+  Computes the difference between the tree that a browser shows and a newly rendered one, as the message that the
+  LiveView client merges.
 
-  Pure: `run/2` takes the tree and the memory of the last one, and returns the message and the new memory. Only values
-  that differ are sent; entries of a list that moved are sent as moves; each text of a template once.
+  The module is pure: `run/2` takes the tree and the memory of the last one, and returns the message and the new memory.
+  Only values that differ are sent. List entries that moved are sent as moves, and the static strings of a template
+  are sent once.
 
   The memory holds the values last sent: `{:tree, fingerprint, values}`, `{:list, fingerprint, %{key => {index,
-  values}}}`,
-  `{:stream, fingerprint}`, `{:island, cid, memory}` or a text.
+  values}}}`, `{:stream, fingerprint}`, `{:island, cid, memory}` or a string.
   """
   alias Situ.Live.{Comprehension, Island, Rendered}
 
@@ -16,10 +17,10 @@ defmodule Situ.Live.Diff do
   @type t :: %__MODULE__{}
 
   @doc """
-  The diff (`%{}` when nothing changed) and the memory after it.
+  Returns the diff (`%{}` if nothing changed) and the new memory.
 
-  `:stale` when the tree leaves out values as unchanged that the browser does not have (another template is shown now):
-  render again, with everything taken as changed.
+  Returns `:stale` if the tree omits values as unchanged that the browser does not have because it showed another
+  template. The caller must then render again with everything treated as changed.
   """
   @spec run(Rendered.t(), t()) :: {map(), t()} | :stale
   def run(%Rendered{} = rendered, %__MODULE__{} = memory \\ %__MODULE__{}) do
@@ -35,7 +36,7 @@ defmodule Situ.Live.Diff do
     {diff, %{memory | root: root, next_cid: acc.next_cid}}
   end
 
-  @doc "The numbers of the islands that are shown, of those given."
+  @doc "Returns the given island numbers whose islands are shown."
   @spec present(t(), [integer()]) :: [integer()]
   def present(%__MODULE__{root: root}, cids) do
     shown = root |> cids([]) |> MapSet.new()
@@ -51,7 +52,7 @@ defmodule Situ.Live.Diff do
 
   defp cids(_, acc), do: acc
 
-  # A tree with its own table of texts: the page's, or one island's.
+  # A tree with its own table of static strings: the page, or one island.
   defp root(rendered, memory, acc) do
     outer = acc.statics
     {diff, memory, acc} = value(rendered, memory, %{acc | statics: %{}}, :own)
@@ -82,7 +83,7 @@ defmodule Situ.Live.Diff do
     {Map.put(diff, "s", static), {:tree, fp, values}, acc}
   end
 
-  # A stream that has nothing to say.
+  # A stream without inserts or deletes.
   defp value(%Comprehension{stream: [_, [], []], fingerprint: fp}, {:stream, fp}, acc, _),
     do: {:same, {:stream, fp}, acc}
 
@@ -103,7 +104,7 @@ defmodule Situ.Live.Diff do
     {:same, {:island, cid, memory}, island(acc, cid, diff)}
   end
 
-  # Numbers are never used again within one join.
+  # Island numbers are never reused within one join.
   defp value(%Island{rendered: rendered}, _, acc, _) do
     cid = acc.next_cid
     {diff, memory, acc} = root(rendered, nil, %{acc | next_cid: cid + 1})
@@ -112,7 +113,7 @@ defmodule Situ.Live.Diff do
 
   defp island(acc, _cid, diff) when diff == %{}, do: acc
 
-  # With new texts the client must be told again that the template is one tag.
+  # When the static strings are new, the client needs the flag for a single root tag again.
   defp island(acc, cid, diff) do
     diff = if is_map_key(diff, "s"), do: Map.put(diff, "r", 1), else: diff
     %{acc | islands: Map.put(acc.islands, index(cid), diff)}
@@ -167,7 +168,7 @@ defmodule Situ.Live.Diff do
     {Map.put(diff, "s", static), memory, acc}
   end
 
-  # Two entries of one key: the second goes by its place, as entries without a key do.
+  # If two entries share a key, the second is identified by its index, like entries without a key.
   defp entry({key, dynamic}, old, found) do
     i = found.count
     key = if key == nil, do: {:index, i}, else: {:key, key}
@@ -202,7 +203,7 @@ defmodule Situ.Live.Diff do
     {diff, values, acc, from != i}
   end
 
-  # -- texts
+  # -- static strings
 
   defp static(static, _fp, acc, :own), do: {static, acc}
 
@@ -217,7 +218,7 @@ defmodule Situ.Live.Diff do
     end
   end
 
-  # Keys as JSON has them; the common ones are not made new each time.
+  # JSON keys are strings; the common ones are precomputed.
   for i <- 0..63, do: defp(index(unquote(i)), do: unquote(Integer.to_string(i)))
   defp index(i), do: Integer.to_string(i)
 end

@@ -1,12 +1,12 @@
 defmodule Situ.Live.Endpoint do
   @moduledoc false
-  # The configuration of one server (kept in a persistent term: read at each request), and the gate every request
-  # passes: host, token, origin, route. Pure: takes a request, says what to do.
+  # The configuration of one server, in a persistent term because each request reads it, and the checks that every
+  # request must pass: host, token, origin, route. The checks are pure: they take a request and return what to do.
   alias Situ.Live.{Dead, Guesses, Public, Request, Response, Route, Static, Token}
 
   @cookie_age_s 30 * 86_400
 
-  # The log shows the arguments of a server that failed.
+  # When a server fails, the log shows its start arguments.
   @derive {Inspect, except: [:secret, :token, :viewer]}
   @enforce_keys [:ref, :routes, :secret, :ip, :port, :scheme]
   defstruct [
@@ -50,7 +50,7 @@ defmodule Situ.Live.Endpoint do
 
   @type route :: {:live_socket, Request.t()} | {:route, Route.t(), Request.t()}
 
-  @doc "Lets a request in to its route, or answers it."
+  @doc "Checks a request and returns its route, or the response that rejects it."
   @spec admit(t(), Request.t()) :: route() | {:respond, Response.t()}
   def admit(config, %{segments: segments} = request) do
     request = %{request | segments: Public.strip(config.public, segments)}
@@ -80,17 +80,17 @@ defmodule Situ.Live.Endpoint do
     end
   end
 
-  # A name that a foreign site points at this machine (DNS rebinding) is not one of ours.
+  # Rejects names that another site points at this machine (DNS rebinding).
   defp check_host(%{hosts: :any}, _), do: :ok
 
   defp check_host(config, request) do
     if host_name(request.host) in config.hosts,
       do: :ok,
-      else: {:respond, Response.error(421, "this server does not answer for that host name")}
+      else: {:respond, Response.error(421, "this server does not accept that host name")}
   end
 
   @doc false
-  # The name without the port; "" for anything that is no host name with a port.
+  # Returns the name without the port, or "" if `host` is not a host name with an optional port.
   def host_name(host) do
     case Regex.run(~r/\A(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::\d{1,5})?\z/i, host) do
       [_, "", name] -> String.downcase(name)
@@ -101,7 +101,7 @@ defmodule Situ.Live.Endpoint do
 
   defp check_token(%{token: nil}, _), do: {:ok, :owner}
 
-  # Who may look only may bring a better token, so that only an owner's cookie stands before a token that is given.
+  # A viewer may bring an owner's token, so only an owner's cookie takes precedence over a token in the request.
   defp check_token(config, request) do
     case {cookie(config, request), given(request)} do
       {{:ok, :owner}, _} -> {:ok, :owner}
@@ -112,7 +112,7 @@ defmodule Situ.Live.Endpoint do
 
   defp check_given(_config, _request, nil), do: {:respond, unauthorized()}
 
-  # After too many wrong guesses a peer's next ones are not even compared.
+  # After too many wrong guesses from an address, its tokens are not even compared.
   defp check_given(config, %{peer: {address, _}} = request, {how, token}) do
     role =
       cond do
@@ -145,7 +145,7 @@ defmodule Situ.Live.Endpoint do
 
   defp too_many_guesses do
     429
-    |> Response.error("too many wrong tokens came from this address; wait a minute")
+    |> Response.error("too many invalid tokens came from this address; wait a minute")
     |> Response.put_header("retry-after", "60")
   end
 
@@ -160,12 +160,12 @@ defmodule Situ.Live.Endpoint do
     end)
   end
 
-  # The cookie dies with the token it was given for, and says by its key for which one that was.
+  # The key contains the token, so a cookie expires with its token and identifies the role.
   defp cookie_key(config, :owner), do: config.secret <> config.token
   defp cookie_key(%{viewer: nil}, :viewer), do: nil
   defp cookie_key(config, :viewer), do: config.secret <> "viewer" <> config.viewer
 
-  # Cookies do not know ports, and several servers may run on a machine.
+  # Cookies are shared between ports, and several servers may run on a machine.
   defp cookie_name(config), do: "situ_#{config.port}"
 
   defp same?(given, token) when is_binary(given) and byte_size(given) == byte_size(token),
@@ -173,7 +173,7 @@ defmodule Situ.Live.Endpoint do
 
   defp same?(_, _), do: false
 
-  # The token goes from the address into a cookie, and out of the address bar.
+  # Moves the token from the address bar into a cookie.
   defp welcome(config, request, role) do
     rest = request.query |> Map.delete("token") |> Situ.Live.Query.encode()
 
@@ -200,21 +200,21 @@ defmodule Situ.Live.Endpoint do
 
   defp unauthorized do
     401
-    |> Response.error("open the address that the server printed: it carries the token")
+    |> Response.error("open the address that the server printed, which contains the token")
     |> Response.put_header("www-authenticate", "Bearer")
   end
 
-  # Browsers always name the origin of a WebSocket or a POST; programs that are no browser name none.
+  # Browsers always send the origin of a WebSocket or a POST; other programs do not.
   defp check_origin(config, request) do
     origin = Request.header(request, "origin")
     matters? = request.method not in ["GET", "HEAD"] or upgrade?(request)
 
     if not matters? or origin in [nil | config.origins] or own?(origin, config, request),
       do: :ok,
-      else: {:respond, Response.error(403, "requests from another site are refused")}
+      else: {:respond, Response.error(403, "requests from other sites are not allowed")}
   end
 
-  # Of the host by which the proxy is known only its own origin is one, with its scheme.
+  # For the host name of the proxy, only the proxy's own origin is allowed, including its scheme.
   defp own?(origin, config, request) do
     host_name(request.host) not in Public.hosts(config.public) and
       origin == config.scheme <> "://" <> request.host
@@ -225,7 +225,7 @@ defmodule Situ.Live.Endpoint do
     request |> Request.header("upgrade") |> to_string() |> String.downcase() == "websocket"
   end
 
-  @doc "How many bytes of body a route takes."
+  @doc "Returns the maximum body size of a route in bytes."
   @spec max_body(t(), route()) :: non_neg_integer()
   def max_body(config, {:route, %Route{kind: :http, opts: opts}, _}),
     do: opts[:max_body] || config.max_body
@@ -233,8 +233,8 @@ defmodule Situ.Live.Endpoint do
   def max_body(_, _), do: 0
 
   @doc """
-  Answers a request that was let in with a `Situ.Live.Response`, or `{:upgrade, module, arg, opts, request}` for
-  WebSockets; a handler of somebody else's may answer anything.
+  Runs the handler of an admitted request. Returns a `Situ.Live.Response`, or `{:upgrade, module, arg, opts, request}`
+  for WebSockets. A handler of an application may return any term.
   """
   @spec run(t(), route()) :: term()
   def run(config, {:live_socket, request}) do
@@ -262,7 +262,7 @@ defmodule Situ.Live.Endpoint do
       {:upgrade, handler, arg, opts, request}
     else
       426
-      |> Response.error("this address takes WebSockets only")
+      |> Response.error("this address accepts only WebSocket connections")
       |> Response.put_header("upgrade", "websocket")
     end
   end

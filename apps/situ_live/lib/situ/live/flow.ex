@@ -1,13 +1,11 @@
 defmodule Situ.Live.Flow do
   @moduledoc false
-  # When a diff that no one asked for may be sent: at most one is under way, and at most one per `interval_ms`. What
-  # changes
-  # meanwhile is summed up in the next. The answer to a user's event is never held back.
+  # Decides when a diff that the browser did not request may be sent: at most one is in flight, and at most one is sent
+  # per `interval_ms`. The next diff combines all changes since the last one. Replies to user events are never delayed.
   #
-  # Each such diff carries the event "situ:ack"; the page's hook answers it once the browser has applied the diff.
-  # Without
-  # the hook (`ack?` false) only the interval counts; a lost answer is given up after `timeout_ms`. Pure: times are
-  # milliseconds, given by the caller.
+  # Each such diff carries the event "situ:ack", and the page's hook acknowledges it once the browser has applied the
+  # diff. Without the hook (`ack?` is false) only the interval counts. After `timeout_ms` a missing acknowledgement is
+  # no longer awaited. The module is pure: the caller passes times in milliseconds.
 
   defstruct ack?: false, interval_ms: 33, timeout_ms: 5_000, sent_at: nil, waiting?: false
 
@@ -16,7 +14,7 @@ defmodule Situ.Live.Flow do
   @spec new(keyword() | map()) :: t()
   def new(opts \\ []), do: struct!(__MODULE__, opts)
 
-  @doc "`:now`, or after how many milliseconds to ask again."
+  @doc "Returns `:now`, or `{:wait, ms}` with the time after which to check again."
   @spec check(t(), integer()) :: :now | {:wait, non_neg_integer()}
   def check(%__MODULE__{sent_at: nil}, _now), do: :now
 

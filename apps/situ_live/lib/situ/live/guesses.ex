@@ -1,11 +1,11 @@
 defmodule Situ.Live.Guesses do
   @moduledoc false
-  # How many wrong tokens came from each address within the last minute, for every server of the VM.
+  # Counts invalid tokens by address and minute, for every server of the VM.
 
   @table __MODULE__
   @most 20
   @minute_ms 60_000
-  # A peer with many addresses does not fill the memory: the table is emptied.
+  # The table is emptied at this size, so that a peer with many addresses cannot fill the memory.
   @most_addresses 10_000
 
   @doc "Creates the table; called once by the application's supervisor process."
@@ -15,7 +15,7 @@ defmodule Situ.Live.Guesses do
     :ok
   end
 
-  @doc "Counts a wrong token."
+  @doc "Counts an invalid token."
   @spec wrong(term(), :inet.ip_address(), integer()) :: :ok
   def wrong(server, address, now_ms \\ now()) do
     if :ets.info(@table, :size) > @most_addresses, do: :ets.delete_all_objects(@table)
@@ -25,7 +25,7 @@ defmodule Situ.Live.Guesses do
     :ok
   end
 
-  @doc "Whether an address has used up its guesses of this minute and the one before."
+  @doc "Returns whether an address has used up its guesses in this minute and the one before."
   @spec too_many?(term(), :inet.ip_address(), integer()) :: boolean()
   def too_many?(server, address, now_ms \\ now()) do
     minute = div(now_ms, @minute_ms)

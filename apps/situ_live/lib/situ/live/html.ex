@@ -1,6 +1,6 @@
 defmodule Situ.Live.Html do
   @moduledoc """
-  Escaping, and turning a rendered tree into HTML text.
+  Escapes values and converts rendered trees to HTML.
 
       iex> Situ.Live.Html.escape("<script>")
       "&lt;script&gt;"
@@ -12,9 +12,9 @@ defmodule Situ.Live.Html do
   @type safe :: {:safe, iodata()}
 
   @doc """
-  A value of a template as text that is safe in HTML; trees pass through. `{:safe, iodata}` is taken as it is: never
-  make
-  one of foreign text. Text that is not UTF-8 is mended (`\uFFFD`), since a browser would refuse the whole message.
+  Converts a template value to a string that is safe in HTML; trees are returned unchanged. `{:safe, iodata}` is not
+  escaped, so never wrap untrusted strings in it. Invalid UTF-8 is replaced by `\uFFFD`, because a browser would reject
+  the whole message.
   """
   @spec escape(term()) :: Rendered.value()
   def escape(value) when is_binary(value), do: escape_text(value)
@@ -52,7 +52,7 @@ defmodule Situ.Live.Html do
   defp mend(c) when c < 128, do: <<c>>
   defp mend(_), do: "\uFFFD"
 
-  # Most texts are ASCII without anything to escape: one pass tells.
+  # Most strings are ASCII without special characters, which one pass can verify.
   defp escape_text(text), do: if(clean?(text), do: text, else: text |> utf8() |> replace(""))
 
   defp clean?(<<c, rest::binary>>) when c < 128 and c not in [?<, ?>, ?&, ?", ?'],
@@ -69,7 +69,7 @@ defmodule Situ.Live.Html do
   defp replace(<<c, rest::binary>>, acc), do: replace(rest, <<acc::binary, c>>)
   defp replace("", acc), do: acc
 
-  @doc "The HTML of a tree."
+  @doc "Returns the HTML of a tree as iodata."
   @spec to_iodata(Rendered.value()) :: iodata()
   def to_iodata(%Rendered{static: static, dynamic: dynamic}), do: weave(static, dynamic)
 
@@ -80,7 +80,7 @@ defmodule Situ.Live.Html do
   def to_iodata(%Island{rendered: rendered}), do: to_iodata(rendered)
   def to_iodata(text) when is_binary(text), do: text
 
-  @doc "The HTML of a tree as one binary."
+  @doc "Returns the HTML of a tree as one string."
   @spec to_html(Rendered.value()) :: String.t()
   def to_html(tree), do: tree |> to_iodata() |> IO.iodata_to_binary()
 
@@ -90,7 +90,7 @@ defmodule Situ.Live.Html do
     do: [text, to_iodata(value) | weave(texts, values)]
 
   @doc """
-  Attributes as a template writes them: `nil` and `false` leave one out, `true` is its name alone, a list is joined by
+  Renders attributes: `nil` and `false` omit an attribute, `true` writes only its name, and a list is joined with
   spaces.
 
       iex> Situ.Live.Html.attributes([{"id", "a"}, {"disabled", true}, {"hidden", false}])
@@ -103,20 +103,20 @@ defmodule Situ.Live.Html do
   end
 
   @doc false
-  # One attribute whose name the template writes; `prefix` is a space and the name.
+  # Renders one attribute whose name is in the template; `prefix` is a space and the name.
   def attribute_text(_prefix, value) when value in [nil, false], do: {:escaped, ""}
   def attribute_text(prefix, true), do: {:escaped, prefix}
 
   def attribute_text(prefix, value),
     do: {:escaped, <<prefix::binary, "=\"", escape(attribute_value(value))::binary, "\"">>}
 
-  # A name of a spread map: what could end it is refused.
+  # Names come from a spread map, so characters that could end the name are rejected.
   defp name(name) do
     name = Kernel.to_string(name)
 
     if name =~ ~r/\A[^\s"'<>\/=]+\z/u,
       do: name,
-      else: raise(ArgumentError, "not an attribute name: #{inspect(name)}")
+      else: raise(ArgumentError, "invalid attribute name: #{inspect(name)}")
   end
 
   defp attribute(name, true), do: [" ", name]

@@ -1,6 +1,7 @@
 defmodule Situ.Live.JS do
   @moduledoc """
-  Commands that the browser runs by itself, for `phx-click` and the like (the shapes of `Phoenix.LiveView.JS`).
+  Builds commands that the browser runs without the server, for `phx-click` and the like (same form as
+  `Phoenix.LiveView.JS`).
 
       iex> Situ.Live.JS.toggle(to: "#menu") |> Situ.Live.JS.push("opened") |> to_string()
       ~s([["toggle",{"to":"#menu"}],["push",{"event":"opened"}]])
@@ -18,27 +19,27 @@ defmodule Situ.Live.JS do
 
   def push(%__MODULE__{} = js, event, opts), do: add(js, "push", [event: event] ++ opts)
 
-  @doc "Shows elements: `to:` a selector."
+  @doc "Shows the elements that match the selector `to:`."
   @spec show(t(), keyword()) :: t()
   def show(js \\ %__MODULE__{}, opts), do: add(js, "show", opts)
 
-  @doc "Hides elements."
+  @doc "Hides the elements that match the selector `to:`."
   @spec hide(t(), keyword()) :: t()
   def hide(js \\ %__MODULE__{}, opts), do: add(js, "hide", opts)
 
-  @doc "Shows what is hidden and hides what is shown."
+  @doc "Shows hidden elements and hides visible ones."
   @spec toggle(t(), keyword()) :: t()
   def toggle(js \\ %__MODULE__{}, opts), do: add(js, "toggle", opts)
 
-  @doc "Adds classes (text, several by spaces)."
+  @doc "Adds classes, given as a string and separated by spaces."
   @spec add_class(t(), String.t(), keyword()) :: t()
   def add_class(js \\ %__MODULE__{}, names, opts), do: class(js, "add_class", names, opts)
 
-  @doc "Removes classes."
+  @doc "Removes classes, given as a string and separated by spaces."
   @spec remove_class(t(), String.t(), keyword()) :: t()
   def remove_class(js \\ %__MODULE__{}, names, opts), do: class(js, "remove_class", names, opts)
 
-  @doc "Adds the classes that are not there and removes those that are."
+  @doc "Adds missing classes and removes present ones."
   @spec toggle_class(t(), String.t(), keyword()) :: t()
   def toggle_class(js \\ %__MODULE__{}, names, opts), do: class(js, "toggle_class", names, opts)
 
@@ -52,7 +53,7 @@ defmodule Situ.Live.JS do
   def remove_attribute(js \\ %__MODULE__{}, name, opts),
     do: add(js, "remove_attr", [attr: name] ++ opts)
 
-  @doc "Dispatches a DOM event; `detail:` a map."
+  @doc "Dispatches a DOM event; option `detail:` (a map)."
   @spec dispatch(t(), String.t(), keyword()) :: t()
   def dispatch(js \\ %__MODULE__{}, event, opts), do: add(js, "dispatch", [event: event] ++ opts)
 
@@ -60,11 +61,11 @@ defmodule Situ.Live.JS do
   @spec focus(t(), keyword()) :: t()
   def focus(js \\ %__MODULE__{}, opts), do: add(js, "focus", opts)
 
-  @doc "Goes to a path inside the same view."
+  @doc "Navigates to a path within the same view."
   @spec patch(t(), String.t()) :: t()
   def patch(js \\ %__MODULE__{}, href), do: add(js, "patch", href: href)
 
-  @doc "Goes to another view."
+  @doc "Navigates to another view."
   @spec navigate(t(), String.t()) :: t()
   def navigate(js \\ %__MODULE__{}, href), do: add(js, "navigate", href: href)
 

@@ -1,11 +1,12 @@
 defmodule Situ.Live.Listener do
   @moduledoc false
-  # Owns the port of one server: opens it, publishes its configuration, sweeps dead connections, closes all at the end.
+  # Owns the port of one server: opens it, publishes its configuration, ends idle connections, and closes everything on
+  # shutdown.
   use GenServer, shutdown: 100_000
   alias Situ.Live.{Connections, Endpoint, Peers, Yaws}
 
   @sweep_ms 15_000
-  # All connections may be taken for so long; with few of them a look costs nothing (`Situ.Live.Peers`).
+  # For this long one peer may hold all connections; with few connections a check costs nothing (`Situ.Live.Peers`).
   @crowd_ms 200
   @idle_ms 90_000
 
@@ -14,7 +15,7 @@ defmodule Situ.Live.Listener do
   @spec endpoint(pid()) :: Endpoint.t()
   def endpoint(pid), do: GenServer.call(pid, :endpoint)
 
-  # The port must be open when start_link returns, or the reason known.
+  # The port must be open, or the error known, when start_link returns.
   @impl true
   def init({config, tls}) do
     Process.flag(:trap_exit, true)
@@ -52,7 +53,7 @@ defmodule Situ.Live.Listener do
     {:noreply, %{state | peers: peers}}
   end
 
-  # Yaws starts again without its ports: so do we.
+  # A restarted Yaws has lost its ports, so this process must restart, too.
   def handle_info({:DOWN, _, _, _, _}, state),
     do: {:stop, :web_server_down, %{state | sconf: nil}}
 

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Mime do
   @moduledoc false
-  # Content types of the files a page is made of.
+  # Content types of the files that a page consists of.
   @types %{
     ".html" => "text/html; charset=utf-8",
     ".css" => "text/css; charset=utf-8",

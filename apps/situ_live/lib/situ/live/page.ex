@@ -1,6 +1,6 @@
 defmodule Situ.Live.Page do
   @moduledoc false
-  # From an address to a mounted view: the same for the dead render, for a join and for a patch.
+  # Maps an address to a mounted view, in the same way for the dead render, a join and a patch.
   alias Situ.Live.{Endpoint, Html, Public, Query, Rendered, Request, Route, Socket, View}
 
   @spec find(Endpoint.t(), String.t()) :: {:ok, Route.t(), map()} | :error
@@ -20,8 +20,8 @@ defmodule Situ.Live.Page do
   def find(_, _), do: :error
 
   @doc """
-  The scope of a session's token: the view, or all views whose routes give the same fixed session. When a route makes
-  its session from the request, or may refuse one, only a page of that route may join it.
+  Returns the scope of a session's token: the view, or all views whose routes have the same fixed session. If a route
+  computes its session from the request, or may refuse it, only a page of that route may join.
   """
   @spec name(Route.t()) :: String.t()
   def name(%Route{opts: opts, target: view}) do
@@ -46,7 +46,7 @@ defmodule Situ.Live.Page do
 
   @fingerprint :erlang.phash2({__MODULE__, :wrap}, 4_294_967_296)
 
-  # The hook that acknowledges diffs (see Situ.Live.Flow) needs an element to live on.
+  # The hook that acknowledges diffs (see Situ.Live.Flow) needs an element to attach to.
   defp wrap(socket, %Rendered{} = rendered) do
     %Rendered{
       static: [~s(<i id="#{socket.id}-flow" phx-hook="SituFlow" hidden></i>), ""],
@@ -60,7 +60,7 @@ defmodule Situ.Live.Page do
           "#{inspect(socket.view)}.render/1 must return ~H, got: #{inspect(other, limit: 5)}"
   end
 
-  @doc "The value of a form or a click as the map that handle_event/3 gets."
+  @doc "Converts the value of a form or a click to the map that handle_event/3 receives."
   @spec event_params(String.t(), term(), term()) :: {:ok, map()} | :error
   def event_params("form", value, meta) when is_binary(value) do
     case Query.parse(value) do
@@ -73,7 +73,7 @@ defmodule Situ.Live.Page do
   def event_params(_type, %{} = value, _meta), do: {:ok, value}
   def event_params(_type, value, _meta), do: {:ok, %{"value" => value}}
 
-  # The browser names the field that changed as in the form; handle_event/3 gets where it is in the parameters.
+  # The browser sends the field name as in the form; handle_event/3 receives the path within the parameters.
   defp target(%{"_target" => name}) when is_binary(name) do
     case Query.path(name) do
       path when is_list(path) -> %{"_target" => path}

@@ -1,9 +1,9 @@
 defmodule Situ.Live.Peers do
   @moduledoc false
-  # Who holds the connections of a port. The web server bounds how many there are, not who holds them: one peer that
-  # opens all of them would keep everybody else out, before it has sent a byte. So they are counted from outside.
+  # Limits the connections that one peer holds on a port. The web server limits only their total, so one peer could
+  # open all of them and lock everyone else out before it sends a byte. An outside process therefore counts them.
 
-  # Half of what the web server takes.
+  # Half of the web server's limit.
   @most 1_000
 
   @doc """
@@ -14,7 +14,7 @@ defmodule Situ.Live.Peers do
   @spec find_excess(:inet.port_number(), MapSet.t(pid()), pos_integer()) ::
           {[pid()], MapSet.t(pid())}
   def find_excess(port, earlier, most \\ @most) do
-    # Looking costs a few microseconds a connection; with few there is nothing to see.
+    # The check costs a few microseconds per connection and is unnecessary when there are few.
     if :erlang.system_info(:port_count) > div(most, 2) do
       {stay, excess} =
         port

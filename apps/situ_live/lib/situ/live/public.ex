@@ -1,7 +1,7 @@
 defmodule Situ.Live.Public do
   @moduledoc """
-  The address under which browsers reach a server behind a proxy. The proxy ends TLS and may add a path; `public:`
-  gives the server the resulting address.
+  The address under which browsers reach a server through a proxy. The proxy terminates TLS and may add a path;
+  `public:` gives the server the resulting address.
 
       iex> {:ok, public} = Situ.Live.Public.parse("https://lab.example.org:8443/studio/")
       iex> {public.origin, public.base, public.segments}
@@ -15,7 +15,7 @@ defmodule Situ.Live.Public do
   @enforce_keys [:url, :origin, :host, :base, :segments, :secure?]
   defstruct [:url, :origin, :host, :base, :segments, :secure?]
 
-  @typedoc "`base` is the path without a slash at its end: empty, or `/studio`; `segments` are its parts."
+  @typedoc "`base` is the path without a trailing slash: empty, or `/studio`; `segments` are its parts."
   @type t :: %__MODULE__{
           url: String.t(),
           origin: String.t(),
@@ -25,7 +25,7 @@ defmodule Situ.Live.Public do
           secure?: boolean()
         }
 
-  @doc "Reads it; `nil` is none. Error: `:bad_public`."
+  @doc "Parses a public address, or `nil` for a server without one. Returns a `:bad_public` error if it is invalid."
   @spec parse(term()) :: {:ok, t() | nil} | {:error, Error.t()}
   def parse(nil), do: {:ok, nil}
 
@@ -62,28 +62,28 @@ defmodule Situ.Live.Public do
     {:error,
      Error.new(
        :bad_public,
-       "#{inspect(text, limit: 5, printable_limit: 100)} is no address of a server",
+       "invalid server address: #{inspect(text, limit: 5, printable_limit: 100)}",
        fix: "write it like https://lab.example.org/studio"
      )}
   end
 
-  @doc "The origins it lets in."
+  @doc "Returns the origins that the public address allows."
   @spec origins(t() | nil) :: [String.t()]
   def origins(nil), do: []
   def origins(public), do: [public.origin]
 
-  @doc "The host names it lets in."
+  @doc "Returns the host names that the public address allows."
   @spec hosts(t() | nil) :: [String.t()]
   def hosts(nil), do: []
   def hosts(public), do: [public.host]
 
-  @doc "The prefix of every path in the pages."
+  @doc "Returns the prefix of every path in the pages."
   @spec base(t() | nil) :: String.t()
   def base(nil), do: ""
   def base(public), do: public.base
 
   @doc """
-  The parts of a path without those of the proxy; a proxy may have taken them off itself.
+  Removes the proxy's path from the segments of a request, unless the proxy has already removed it.
 
       iex> {:ok, public} = Situ.Live.Public.parse("https://lab.example.org/studio")
       iex> {Situ.Live.Public.strip(public, ["studio", "s", "x"]), Situ.Live.Public.strip(public, ["s", "x"])}

@@ -1,8 +1,8 @@
 defmodule Situ.Live.Query do
   @moduledoc """
-  Decodes query strings and urlencoded forms: `a=1&b[c]=2&d[]=3` into nested maps and lists.
+  Decodes query strings and URL-encoded forms such as `a=1&b[c]=2&d[]=3` into nested maps and lists.
 
-  Input is foreign: its keys stay strings, at most 1,000 fields and 8 levels are taken, and text must be UTF-8.
+  Input is untrusted: keys remain strings, at most 1,000 fields and 8 levels are accepted, and strings must be UTF-8.
 
       iex> Situ.Live.Query.parse("a=1&b[c]=x+y&d[]=3&d[]=4")
       {:ok, %{"a" => "1", "b" => %{"c" => "x y"}, "d" => ["3", "4"]}}
@@ -12,7 +12,7 @@ defmodule Situ.Live.Query do
   @max_fields 1_000
   @max_depth 8
 
-  @doc "Decodes; later fields win over earlier ones of the same name."
+  @doc "Decodes a query string; later fields override earlier ones of the same name."
   @spec parse(String.t()) :: {:ok, map()} | {:error, :bad_query}
   def parse(""), do: {:ok, %{}}
 
@@ -43,7 +43,7 @@ defmodule Situ.Live.Query do
   end
 
   @doc """
-  Where a field of this name is found in what `parse/1` gives; a name of another shape is taken as it is.
+  Returns the path of a field within the result of `parse/1`. A name without brackets is used unchanged.
 
       iex> Situ.Live.Query.path("a[b][]")
       ["a", "b", ""]
@@ -60,7 +60,7 @@ defmodule Situ.Live.Query do
     end
   end
 
-  # Lists are gathered in reverse below a marker, so that n values cost n steps.
+  # Lists are collected in reverse under a marker, so that n values take n steps.
   defp put(acc, [key], value), do: Map.put(acc, key, value)
 
   defp put(acc, [key, ""], value) do
@@ -86,7 +86,7 @@ defmodule Situ.Live.Query do
 
   defp form_decode(text), do: text |> :binary.replace("+", " ", [:global]) |> percent_decode()
 
-  @doc "Percent-decodes; `:error` when it is malformed or not UTF-8."
+  @doc "Percent-decodes a string; returns `:error` if it is malformed or not UTF-8."
   @spec percent_decode(String.t()) :: String.t() | :error
   def percent_decode(text) do
     decoded = URI.decode(text)
@@ -109,7 +109,7 @@ defmodule Situ.Live.Query do
   end
 
   @doc """
-  The name of the field at a path: `path/1` the other way.
+  Returns the name of the field at a path; the inverse of `path/1`.
 
       iex> Situ.Live.Query.name(["a", "b"])
       "a[b]"

@@ -1,11 +1,10 @@
 defmodule Situ.Live.Rendered do
   @moduledoc """
-  The result of `~H`: the template's fixed texts and, between them, its values.
+  The result of `~H`: the template's static strings and the values between them.
 
-  `n` values stand between `n + 1` texts. A value is escaped text (a binary), another `Rendered`, a
-  `Situ.Live.Comprehension`, a `Situ.Live.Island`, or `:unchanged` (since the last render). `fingerprint` is the same
-  for
-  the same template; `root?` tells that the template is one tag and nothing beside it.
+  `n + 1` strings enclose `n` values. A value is an escaped string, another `Rendered`, a `Situ.Live.Comprehension`, a
+  `Situ.Live.Island`, or `:unchanged` (since the last render). `fingerprint` identifies the template; `root?` is true if
+  the template is exactly one tag.
   """
   @enforce_keys [:static, :dynamic, :fingerprint]
   defstruct [:static, :dynamic, :fingerprint, root?: false]
@@ -22,8 +21,8 @@ end
 
 defmodule Situ.Live.Comprehension do
   @moduledoc """
-  The result of `:for`: one template for all entries, and `{key, values}` for each. An entry whose key stays keeps its
-  DOM node when it moves. `stream` is set for `Situ.Live.Stream`s.
+  The result of `:for`: one template for all entries, and `{key, values}` for each. An entry that keeps its key also
+  keeps its DOM node when it moves. `stream` is set for a `Situ.Live.Stream`.
   """
   @enforce_keys [:static, :entries, :fingerprint]
   defstruct [:static, :entries, :fingerprint, stream: nil]
@@ -38,7 +37,7 @@ end
 
 defmodule Situ.Live.Island do
   @moduledoc """
-  A part of a page that the browser patches alone, whatever its size elsewhere: see `Situ.Live.Component.island/1`.
+  A part of a page that the browser patches separately: see `Situ.Live.Component.island/1`.
   """
   @enforce_keys [:rendered]
   defstruct [:rendered]

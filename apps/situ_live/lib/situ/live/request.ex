@@ -1,14 +1,14 @@
 defmodule Situ.Live.Request do
   @moduledoc """
-  One HTTP request, as a route's handler gets it.
+  One HTTP request, as a route's handler receives it.
 
     * `method` - `"GET"`, `"POST"` ...
-    * `path` - as sent; `segments` - the path cut at `/` and percent-decoded
-    * `query` - the query decoded by `Situ.Live.Query`; `params` - what the route's `:name` and `*rest` matched
-    * `headers` - a map by lower-case name
-    * `body` - the whole body; its size is limited by the server's `max_body`
-    * `peer` - `{address, port}` of the other side
-    * `role` - `:viewer` of one who came with the server's `viewer_token:`, else `:owner`
+    * `path` - as sent; `segments` - the path split at `/` and percent-decoded
+    * `query` - the query decoded by `Situ.Live.Query`; `params` - values matched by the route's `:name` and `*rest`
+    * `headers` - a map with lower-case names
+    * `body` - the complete body; the server's `max_body` limits its size
+    * `peer` - `{address, port}` of the client
+    * `role` - `:viewer` if the client used the server's `viewer_token:`, else `:owner`
 
       iex> request = %Situ.Live.Request{method: "GET", path: "/a", headers: %{"accept" => "text/html"}}
       iex> Situ.Live.Request.header(request, "Accept")
@@ -46,7 +46,7 @@ defmodule Situ.Live.Request do
           endpoint: term()
         }
 
-  @doc "Builds a request from its parts; a path or query that cannot be decoded is an error (answer 400)."
+  @doc "Builds a request from its parts; returns an error (status 400) if the path or query cannot be decoded."
   @spec new(String.t(), String.t(), %{optional(String.t()) => String.t()}, keyword()) ::
           {:ok, t()} | {:error, :bad_request}
   def new(method, target, headers, fields \\ []) do
@@ -74,7 +74,7 @@ defmodule Situ.Live.Request do
     end
   end
 
-  # NUL and the like never name anything here; `.` and `..` are for the browser to resolve.
+  # NUL and similar characters never occur in valid names; browsers resolve `.` and `..` themselves.
   defp segments("/" <> _ = path) do
     segments = path |> String.split("/", trim: true) |> Enum.map(&Query.percent_decode/1)
 
@@ -90,12 +90,12 @@ defmodule Situ.Live.Request do
       :binary.match(segment, ["/", "\\", <<0>>, "\n", "\r"]) == :nomatch
   end
 
-  @doc "The value of a header, or `nil`."
+  @doc "Returns the value of a header, or `nil`."
   @spec header(t(), String.t()) :: String.t() | nil
   def header(%__MODULE__{headers: headers}, name), do: headers[String.downcase(name)]
 
   @doc ~S"""
-  The value of a cookie, or `nil`.
+  Returns the value of a cookie, or `nil`.
 
       iex> Situ.Live.Request.cookie(%Situ.Live.Request{headers: %{"cookie" => "a=1; b=2"}}, "b")
       "2"

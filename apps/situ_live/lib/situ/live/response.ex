@@ -1,6 +1,6 @@
 defmodule Situ.Live.Response do
   @moduledoc """
-  The answer of a handler: status, headers, body.
+  The response of a handler: status, headers, body.
 
   A body is iodata, or `{:file, path, offset, length}` (sent by the operating system), or `{:chunks, enumerable}`.
   The server adds `content-length` or chunking, and the security headers.
@@ -18,34 +18,34 @@ defmodule Situ.Live.Response do
           | {:chunks, Enumerable.t()}
   @type t :: %__MODULE__{status: 100..599, headers: [{String.t(), String.t()}], body: body()}
 
-  @doc "Plain text."
+  @doc "Builds a plain text response."
   @spec text(iodata(), 100..599) :: t()
   def text(text, status \\ 200), do: of(status, "text/plain; charset=utf-8", text)
 
-  @doc "HTML that is already escaped."
+  @doc "Builds a response from HTML that is already escaped."
   @spec html(iodata(), 100..599) :: t()
   def html(html, status \\ 200), do: of(status, "text/html; charset=utf-8", html)
 
-  @doc "JSON of maps, lists, strings, numbers, booleans and `nil`."
+  @doc "Builds a JSON response from maps, lists, strings, numbers, booleans and `nil`."
   @spec json(term(), 100..599) :: t()
   def json(value, status \\ 200), do: of(status, "application/json", Situ.JSON.encode(value))
 
-  @doc "Bytes; `headers` are added."
+  @doc "Builds a response from bytes, with additional `headers`."
   @spec binary(iodata(), [{String.t(), String.t()}]) :: t()
   def binary(bytes, headers \\ []) do
     %__MODULE__{headers: [{"content-type", "application/octet-stream"} | headers], body: bytes}
   end
 
-  @doc "A redirect to a path or URL; line breaks in it are refused."
+  @doc "Builds a redirect to a path or URL; raises if it contains a line break."
   @spec redirect(String.t(), 300..399) :: t()
   def redirect(to, status \\ 302) do
     if :binary.match(to, ["\r", "\n"]) != :nomatch,
-      do: raise(ArgumentError, "a redirect must be one line, got: #{inspect(to)}")
+      do: raise(ArgumentError, "a redirect target must be one line, got: #{inspect(to)}")
 
     %__MODULE__{status: status, headers: [{"location", to}]}
   end
 
-  @doc "An error page of one line."
+  @doc "Builds a one-line error page."
   @spec error(100..599, String.t()) :: t()
   def error(status, what \\ ""), do: text([Integer.to_string(status), " ", what, "\n"], status)
 
@@ -53,18 +53,18 @@ defmodule Situ.Live.Response do
     %__MODULE__{status: status, headers: [{"content-type", type}], body: body}
   end
 
-  @doc "With one more header (an earlier one of the same name is replaced)."
+  @doc "Sets a header; replaces an earlier value."
   @spec put_header(t(), String.t(), String.t()) :: t()
   def put_header(%__MODULE__{headers: headers} = response, name, value) do
     %{response | headers: List.keystore(headers, name, 0, {name, value})}
   end
 
   @doc """
-  A file, or the part of it that the request's `range` asks for; `304` when the browser has it.
+  Builds a response with a file, or with the part that the request's `range` header selects. The status is `304` if the
+  browser already has the file.
 
-  Options: `:type` (else by the name's ending), `:cache` (the `cache-control` header, default `"no-cache"`: asked for
-  again
-  each time, answered by `304`).
+  Options: `:type` (default: derived from the file extension), `:cache` (the `cache-control` header, default
+  `"no-cache"`: the browser revalidates each time, and the server returns `304` if nothing changed).
   """
   @spec file(Request.t(), Path.t(), keyword()) :: t()
   def file(%Request{} = request, path, opts \\ []) do
@@ -86,8 +86,8 @@ defmodule Situ.Live.Response do
   end
 
   @doc """
-  `size` bytes of something stored, of which `read.(from, length)` gives a part: answers the request's `range` (`206`,
-  `416`), or all of it.
+  Builds a response with stored content of `size` bytes, or with the part that the request's `range` header selects
+  (`206`, `416`). `read.(from, length)` returns a part of the content.
 
       iex> request = %Situ.Live.Request{headers: %{"range" => "bytes=1-2"}}
       iex> response = Situ.Live.Response.ranged(request, 4, [], fn from, n -> binary_part("abcd", from, n) end)
@@ -135,7 +135,7 @@ defmodule Situ.Live.Response do
     tags |> String.split(",") |> Enum.any?(&(&1 |> String.trim() |> String.trim("W/") == etag))
   end
 
-  # One range only; several, or what is not a range of bytes, is answered with everything (RFC 9110, 14.2).
+  # Only a single byte range is supported; otherwise the full content is returned (RFC 9110, 14.2).
   defp range("bytes=" <> spec, size) do
     case Regex.run(~r/\A(\d{0,18})-(\d{0,18})\z/, spec, capture: :all_but_first) do
       ["", ""] -> :all

@@ -1,20 +1,20 @@
 defmodule Situ.Live.Route do
   @moduledoc """
-  The routes of a server: plain data, matched in order.
+  The routes of a server, as plain data that is matched in order.
 
-  | route | answers |
+  | route | serves |
   |---|---|
   | `{:live, path, View}`, `{:live, path, View, opts}` | a page: a view (`Situ.Live.View`) in the layout |
-  | `{:get, path, handler}`, also `:post`, `:put`, `:patch`, `:delete`, `:any` (with `opts` as fourth) | what the handler returns |
-  | `{:static, path, dir}`, `{:static, path, {app, dir}}`, `{:static, path, dir, opts}` | files below `dir` (GET, HEAD) |
+  | `{:get, path, handler}` or `:post`, `:put`, `:patch`, `:delete`, `:any` (or with `opts`) | the handler's response |
+  | `{:static, path, dir}`, `{:static, path, {app, dir}}`, `{:static, path, dir, opts}` | files in `dir` (GET, HEAD) |
   | `{:socket, path, Module, arg}`, `{:socket, path, Module, arg, opts}` | a WebSocket (`Situ.Live.SocketHandler`) |
 
-  A path is matched segment by segment: `:name` takes one, `*rest` all that is left; both are found in the
+  A path is matched segment by segment: `:name` matches one segment, `*rest` all remaining ones. Both are in the
   request's `params` (a view's `params`). A handler is a function of one argument (the `Situ.Live.Request`), or
-  `{Module, arg}` whose `call(request, arg)` is used; it returns a `Situ.Live.Response`.
+  `{Module, arg}`, for which the server calls `Module.call(request, arg)`. It returns a `Situ.Live.Response`.
 
-  Options of `:live`: `action:` (the socket's `live_action`), `session:` (a JSON-able map, or a function of the request
-  giving one; signed into the page and handed to `mount/3`), `layout:` (instead of the server's).
+  Options of `:live`: `action:` (the socket's `live_action`), `session:` (a JSON-able map, or a function that computes
+  it from the request; signed into the page and passed to `mount/3`), `layout:` (replaces the server's layout).
   Options of the handlers: `max_body:` (bytes). Options of `:static`: `cache:` (the `cache-control` header).
   Options of `:socket`: `max_frame:` (bytes of an incoming message, default 65,536).
 
@@ -40,7 +40,7 @@ defmodule Situ.Live.Route do
           opts: keyword()
         }
 
-  @doc "Checks and prepares routes; a route that is not one of the table raises `ArgumentError`."
+  @doc "Validates and compiles routes; raises `ArgumentError` for an invalid route."
   @spec compile([tuple()]) :: [t()]
   def compile(routes), do: Enum.map(routes, &compile_one/1)
 
@@ -50,7 +50,8 @@ defmodule Situ.Live.Route do
     Code.ensure_loaded(view)
 
     unless function_exported?(view, :render, 1),
-      do: raise(ArgumentError, "#{inspect(view)} is no view: it has no render/1")
+      do:
+        raise(ArgumentError, "#{inspect(view)} is not a view because it does not define render/1")
 
     %__MODULE__{kind: :live, pattern: pattern(path), target: view, methods: ["GET"], opts: opts}
   end
@@ -60,7 +61,8 @@ defmodule Situ.Live.Route do
 
   defp compile_one({method, path, handler, opts}) when method in @methods do
     unless is_function(handler, 1) or match?({module, _} when is_atom(module), handler),
-      do: raise(ArgumentError, "a handler is fun/1 or {module, arg}, got: #{inspect(handler)}")
+      do:
+        raise(ArgumentError, "a handler must be fun/1 or {module, arg}, got: #{inspect(handler)}")
 
     methods = if method == :any, do: :any, else: [method |> to_string() |> String.upcase()]
 
@@ -94,7 +96,7 @@ defmodule Situ.Live.Route do
     }
   end
 
-  defp compile_one(other), do: raise(ArgumentError, "not a route: #{inspect(other)}")
+  defp compile_one(other), do: raise(ArgumentError, "invalid route: #{inspect(other)}")
 
   defp pattern("/" <> _ = path) do
     path
@@ -106,9 +108,9 @@ defmodule Situ.Live.Route do
     end)
   end
 
-  defp pattern(path), do: raise(ArgumentError, "a path starts with /, got: #{inspect(path)}")
+  defp pattern(path), do: raise(ArgumentError, "a path must start with /, got: #{inspect(path)}")
 
-  @doc "The first route that fits, and what its pattern took."
+  @doc "Returns the first matching route and the parameters from its pattern."
   @spec find([t()], Request.t()) ::
           {:ok, t(), map()} | {:error, :not_found | {:method, [String.t()]}}
   def find(routes, %Request{segments: segments, method: method}) do

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Socket do
   @moduledoc """
-  The state of one view: read `socket.assigns`, change it with the functions that `use Situ.Live.View` imports.
+  The state of one view. Views read `socket.assigns` and change it with the functions that `use Situ.Live.View` imports.
   """
   alias Situ.Live.Stream
 
@@ -10,7 +10,7 @@ defmodule Situ.Live.Socket do
             endpoint: nil,
             connected?: false,
             parameters: %{},
-            # for the runtime only: what the next message to the browser carries
+            # for the runtime only: contents of the next message to the browser
             events: [],
             reply: nil,
             navigation: nil
@@ -19,12 +19,12 @@ defmodule Situ.Live.Socket do
 
   @max_events 1_000
 
-  @doc "Sets assigns; one that is set to what it is does not count as changed."
+  @doc "Sets assigns; setting an assign to its current value does not mark it as changed."
   @spec assign(t() | map(), Enumerable.t()) :: t() | map()
   def assign(target, pairs),
     do: Enum.reduce(pairs, target, fn {k, v}, acc -> assign(acc, k, v) end)
 
-  @doc "Sets one assign of a socket, or of a component's assigns."
+  @doc "Sets one assign of a socket or of a component's assigns."
   @spec assign(t() | map(), atom(), term()) :: t() | map()
   def assign(%__MODULE__{assigns: assigns} = socket, key, value) when is_atom(key) do
     case assigns do
@@ -45,7 +45,7 @@ defmodule Situ.Live.Socket do
 
   defp changed(assigns, _), do: assigns
 
-  @doc "Sets an assign unless it is there; `fun` takes nothing."
+  @doc "Sets an assign to the result of `fun` unless it exists."
   @spec assign_new(t() | map(), atom(), (() -> term())) :: t() | map()
   def assign_new(target, key, fun) when is_function(fun, 0) do
     if is_map_key(assigns(target), key), do: target, else: assign(target, key, fun.())
@@ -54,26 +54,26 @@ defmodule Situ.Live.Socket do
   defp assigns(%__MODULE__{assigns: assigns}), do: assigns
   defp assigns(assigns), do: assigns
 
-  @doc "Changes an assign by a function."
+  @doc "Updates an assign with a function of its current value."
   @spec update(t() | map(), atom(), (term() -> term())) :: t() | map()
   def update(target, key, fun), do: assign(target, key, fun.(Map.fetch!(assigns(target), key)))
 
-  @doc "Sends an event with a JSON-able map to the hooks that listen (`this.handleEvent(name, ...)`)."
+  @doc "Sends an event with a JSON-able map to client hooks that listen (`this.handleEvent(name, ...)`)."
   @spec push_event(t(), String.t(), map()) :: t()
   def push_event(%__MODULE__{events: events} = socket, name, %{} = payload) do
-    # A browser that takes nothing for long must not fill the memory: the oldest go.
+    # A browser that stops receiving must not fill the memory, so the oldest events are dropped.
     %{socket | events: Enum.take([[name, payload] | events], @max_events)}
   end
 
-  @doc "Changes the address without leaving the view: `to:` a path; `replace: true` leaves no history entry."
+  @doc "Changes the address without leaving the view: `to:` a path; `replace: true` adds no history entry."
   @spec push_patch(t(), keyword()) :: t()
   def push_patch(socket, opts), do: navigation(socket, :live_patch, opts)
 
-  @doc "Goes to another view on the same connection."
+  @doc "Navigates to another view on the same connection."
   @spec push_navigate(t(), keyword()) :: t()
   def push_navigate(socket, opts), do: navigation(socket, :live_redirect, opts)
 
-  @doc "Loads another page: `to:` a path, or `external:` a URL."
+  @doc "Redirects the browser to another page: `to:` a path, or `external:` a URL."
   @spec redirect(t(), keyword()) :: t()
   def redirect(%__MODULE__{} = socket, to: to),
     do: %{socket | navigation: {:redirect, %{"to" => local!(to)}}}
@@ -87,31 +87,31 @@ defmodule Situ.Live.Socket do
     %{socket | navigation: {kind, %{"to" => to, "kind" => how}}}
   end
 
-  defp local!("//" <> _ = to), do: raise(ArgumentError, "to: takes a path, got: #{inspect(to)}")
+  defp local!("//" <> _ = to), do: raise(ArgumentError, "to: must be a path, got: #{inspect(to)}")
   defp local!("/" <> _ = to), do: to
-  defp local!(to), do: raise(ArgumentError, "to: takes a path, got: #{inspect(to)}")
+  defp local!(to), do: raise(ArgumentError, "to: must be a path, got: #{inspect(to)}")
 
-  @doc "A note for the user, read as `@flash[\"info\"]`; gone with the next navigation."
+  @doc "Sets a flash message for the user, read as `@flash[\"info\"]`; the next navigation clears it."
   @spec put_flash(t(), atom(), String.t()) :: t()
   def put_flash(socket, kind, text),
     do: update(socket, :flash, &Map.put(&1, Atom.to_string(kind), text))
 
-  @doc "Removes the notes, or the note of one kind."
+  @doc "Removes all flash messages, or the message of the given kind."
   @spec clear_flash(t()) :: t()
   def clear_flash(socket), do: assign(socket, :flash, %{})
 
   @spec clear_flash(t(), atom()) :: t()
   def clear_flash(socket, kind), do: update(socket, :flash, &Map.delete(&1, Atom.to_string(kind)))
 
-  @doc "Whether a browser is connected; false in the first, dead render of a page. Subscribe only then."
+  @doc "Returns whether a browser is connected: false in the first, dead render of a page. Subscribe only if true."
   @spec connected?(t()) :: boolean()
   def connected?(%__MODULE__{connected?: connected?}), do: connected?
 
-  @doc "The `params` that the page's script gave its `LiveSocket`; `%{}` in the dead render."
+  @doc "Returns the `params` that the page's script passed to its `LiveSocket`; `%{}` in the dead render."
   @spec get_connect_params(t()) :: map()
   def get_connect_params(%__MODULE__{parameters: parameters}), do: parameters
 
-  @doc "Starts or extends a `Situ.Live.Stream`; options `at:`, `limit:`, `reset:`, `dom_id:`."
+  @doc "Creates or extends a `Situ.Live.Stream`; options `at:`, `limit:`, `reset:`, `dom_id:`."
   @spec stream(t(), atom(), Enumerable.t(), keyword()) :: t()
   def stream(socket, name, items, opts \\ []) do
     case socket.assigns[:streams] do
@@ -136,7 +136,7 @@ defmodule Situ.Live.Socket do
     put_stream(socket, name, Stream.delete(stream, stream.dom_id.(item)))
   end
 
-  @doc "Deletes the row of this id from a stream."
+  @doc "Deletes the row with the given DOM id from a stream."
   @spec stream_delete_by_dom_id(t(), atom(), String.t()) :: t()
   def stream_delete_by_dom_id(socket, name, dom_id),
     do: put_stream(socket, name, Stream.delete(stream!(socket, name), dom_id))
@@ -144,7 +144,7 @@ defmodule Situ.Live.Socket do
   defp stream!(socket, name) do
     case socket.assigns do
       %{streams: %{^name => stream}} -> stream
-      _ -> raise ArgumentError, "no stream #{inspect(name)}: start it with stream/3 in mount/3"
+      _ -> raise ArgumentError, "no stream #{inspect(name)}; create it with stream/3 in mount/3"
     end
   end
 
@@ -154,7 +154,7 @@ defmodule Situ.Live.Socket do
   end
 
   @doc false
-  # After a message is sent: what it carried is forgotten.
+  # Clears the contents of a message that was sent.
   def __sent__(%__MODULE__{assigns: assigns} = socket) do
     assigns =
       case assigns do

@@ -1,7 +1,7 @@
 defmodule Situ.Live.SocketHandler do
   @moduledoc """
-  A WebSocket of a `{:socket, path, Module, arg}` route: one process per connection, these callbacks inside it
-  (their shapes are those of the hex package WebSock).
+  The handler of a `{:socket, path, Module, arg}` route. Each connection has one process, which calls these callbacks
+  (they have the same form as in the hex package WebSock).
 
       defmodule Echo do
         @behaviour Situ.Live.SocketHandler
@@ -17,12 +17,10 @@ defmodule Situ.Live.SocketHandler do
         def handle_info(message, state), do: {:push, {:text, inspect(message)}, state}
       end
 
-  Before `init/2` the server has checked host, token and origin. An incoming message above the route's `max_frame:`
-  closes the
-  connection (1009), a raise in a callback too (1011, logged). A connection from which nothing came for 90 s is
-  closed, so a client
-  sends something at least every 60 s. A peer that does not read blocks this process, not the sender of its
-  messages: send only what it asked for, as the studio does with signals and pictures.
+  The server checks host, token and origin before it calls `init/2`. A message larger than the route's `max_frame:`
+  closes the connection (1009), and so does an exception in a callback (1011, logged). A connection that sends nothing
+  for 90 s is closed, so a client should send a message at least every 60 s. A peer that does not read blocks this
+  process, not the sender of its messages: send only requested data, as the studio does with signals and images.
   """
 
   @type frame :: {:text | :binary, iodata()}

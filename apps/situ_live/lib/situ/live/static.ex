@@ -1,8 +1,7 @@
 defmodule Situ.Live.Static do
   @moduledoc false
-  # Files below one folder. Only names that lead to a regular file inside it are answered: a `..`, a link that leaves
-  # the
-  # folder, a device or a folder is 404, and nothing tells one from the other.
+  # Serves files below one folder. Only names of regular files inside the folder succeed. A `..`, a link out of the
+  # folder, a device or a folder returns the same 404, so that a client cannot distinguish them.
   alias Situ.Live.{Mime, Request, Response}
 
   @spec serve(Request.t(), Path.t() | {atom(), Path.t()}, [String.t()], keyword()) :: Response.t()
@@ -21,13 +20,13 @@ defmodule Situ.Live.Static do
   defp root({app, dir}), do: Application.app_dir(app, dir)
   defp root(dir), do: Path.expand(dir)
 
-  # Names that start with a dot are not for the public (.git, .env).
+  # Names that start with a dot (.git, .env) are not public.
   defp safe?(segment) do
     segment not in ["", ".", ".."] and not String.starts_with?(segment, ".") and
       :binary.match(segment, ["/", "\\", <<0>>]) == :nomatch
   end
 
-  # Follows links, so that one inside the folder cannot lead out of it.
+  # Resolves links, so that a link inside the folder cannot lead out of it.
   defp inside?(path, root) do
     with {:ok, path} <- real(path), {:ok, root} <- real(root) do
       String.starts_with?(path, root <> "/")
@@ -55,7 +54,7 @@ defmodule Situ.Live.Static do
     end
   end
 
-  # A compressed twin beside the file (app.js.gz) is sent to those who take it.
+  # If the folder also contains a compressed copy (app.js.gz), clients that accept gzip receive it.
   defp respond(request, path, opts) do
     accepts = to_string(Request.header(request, "accept-encoding"))
     range? = Request.header(request, "range") != nil

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Stream do
   @moduledoc """
-  A list that only the browser keeps: the server sends what is inserted and deleted, and forgets it.
+  A list that only the browser keeps: the server sends inserts and deletes and then discards them.
 
       # mount:   stream(socket, :lines, lines)
       # event:   stream_insert(socket, :lines, line, at: 0, limit: 200)
@@ -8,7 +8,7 @@ defmodule Situ.Live.Stream do
         <li :for={{id, line} <- @streams.lines} id={id}>{line.text}</li>
       </ul>
 
-  Items need an `:id`, or `dom_id:` a function that gives the row's id.
+  Each item needs an `:id`, or the option `dom_id:` with a function that returns the row's id.
   """
   alias __MODULE__, as: S
 

@@ -1,23 +1,23 @@
 defmodule Situ.Live.Template do
   @moduledoc """
-  `~H`: HTML with Elixir in it, compiled; the part of Phoenix's HEEx that views need.
+  `~H` compiles HTML with embedded Elixir; it supports the part of Phoenix's HEEx that views need.
 
-    * `{expression}` in text and `name={expression}` in tags: always escaped
-    * `class={["a", @on && "b"]}`; `nil` and `false` leave an attribute out, `true` writes its name; `{map}` spreads
-    * `:if={...}`, `:for={x <- @xs}`, `:key={x.id}` on any tag, component or slot
+    * `{expression}` in text and `name={expression}` in tags are always escaped
+    * `class={["a", @on && "b"]}`; `nil` and `false` omit an attribute, `true` writes only its name; `{map}` spreads
+    * `:if={...}`, `:for={x <- @xs}`, `:key={x.id}` work on any tag, component or slot
     * `<.card title="x">`, `<Other.card>` call function components; `<:name :let={x}>` are their slots
-    * `phx-no-curly-interpolation` on a tag turns braces inside it into text, as they are in `<script>` and `<style>`
-    * `<%= expression %>` as `{expression}`; `<%!-- --%>` is left out; blocks (`<% if ... do %>`) are refused
+    * `phx-no-curly-interpolation` on a tag makes braces inside it plain text, as they are in `<script>` and `<style>`
+    * `<%= expression %>` equals `{expression}`; `<%!-- --%>` is omitted; blocks (`<% if ... do %>`) are rejected
 
-  A tag that is not closed, or closed by another name, is a compile error with file, line and column. Only assigns that
-  changed are evaluated again: read them as `@name`.
+  A tag that is not closed, or is closed by another name, is a compile error with file, line and column. Only
+  expressions whose assigns changed are evaluated again, so read assigns as `@name`.
   """
   alias Situ.Live.Template.{Compiler, Parser}
 
-  @doc "Compiles the template; an `assigns` variable must be in scope."
+  @doc "Compiles a template; a variable `assigns` must be in scope."
   defmacro sigil_H({:<<>>, meta, [source]}, _modifiers) do
     unless Macro.Env.has_var?(__CALLER__, {:assigns, nil}),
-      do: raise(ArgumentError, "~H needs a variable named assigns, as in def render(assigns)")
+      do: raise(ArgumentError, "~H requires a variable named assigns, as in def render(assigns)")
 
     heredoc? = meta[:indentation] != nil
 

@@ -1,16 +1,15 @@
 defmodule Situ.Live.Test do
   @moduledoc """
-  Tests of views without a browser and without a server: mount, look, click, type, assert.
+  Tests views without a browser or a server: mount, look, click, type, assert.
 
       page = Situ.Live.Test.mount(Counter, params: %{"from" => "1"})
       assert Situ.Live.Test.text(page, "#inc") == "0"
       Situ.Live.Test.click(page, "#inc")
       assert Situ.Live.Test.text(page, "#inc") == "1"
 
-  The view runs in a process of its own as behind a browser, and what it sends is merged as a browser merges it. After
-  each function the view has handled all that came before, so nothing waits or sleeps. Selectors: `tag`, `#id`,
-  `.class`,
-  `[name=value]`, and descendants.
+  The view runs in a separate process, as with a browser, and its messages are merged as a browser merges them. When a
+  function returns, the view has handled all earlier messages, so tests need not wait or sleep. Supported selectors:
+  `tag`, `#id`, `.class`, `[name=value]`, and descendants.
   """
   alias Situ.Live.{Endpoint, Query, Route}
   alias Situ.Live.Test.{Browser, Dom}
@@ -23,7 +22,8 @@ defmodule Situ.Live.Test do
   Mounts a view as a connected browser does. Options: `path:` (default `"/"`; its query becomes params), `params:`,
   `session:`, `action:`, `routes:` (more live routes, for patches), `connect_params:`.
 
-  Raises with the reason when the view does not mount; `{:error, {:redirect, to}}` when it sends the browser elsewhere.
+  Raises with the reason if the view does not mount. Returns `{:error, {:redirect, to}}` if the view redirects the
+  browser.
   """
   @spec mount(module(), keyword()) :: t() | {:error, {atom(), String.t()}}
   def mount(view, opts \\ []) do
@@ -73,14 +73,14 @@ defmodule Situ.Live.Test do
 
   defp joined({:error, reason}, _), do: raise("the view did not mount: #{inspect(reason)}")
 
-  @doc "The HTML that the browser shows now."
+  @doc "Returns the HTML that the browser shows now."
   @spec render(t()) :: String.t()
   def render(%__MODULE__{} = page) do
     settle(page)
     call_browser(page.browser, :html)
   end
 
-  # Once for what was in its mailbox, once for the acknowledgement that its diff brought.
+  # The first round covers messages in the mailbox, the next ones the acknowledgements of their diffs.
   defp settle(page) do
     for _ <- 1..3, Process.alive?(page.view) do
       :sys.get_state(page.view)
@@ -92,19 +92,19 @@ defmodule Situ.Live.Test do
     :exit, _ -> :ok
   end
 
-  @doc "The texts of the elements that a selector finds, put together and trimmed; raises when there is none."
+  @doc "Returns the joined and trimmed text of the elements that match a selector; raises if there are none."
   @spec text(t(), String.t()) :: String.t()
   def text(page, selector), do: page |> find!(selector) |> Dom.text() |> String.trim()
 
-  @doc "Whether a selector finds anything."
+  @doc "Returns whether any element matches a selector."
   @spec has?(t(), String.t()) :: boolean()
   def has?(page, selector), do: all(page, selector) != []
 
-  @doc "How many elements a selector finds."
+  @doc "Counts the elements that match a selector."
   @spec count(t(), String.t()) :: non_neg_integer()
   def count(page, selector), do: page |> all(selector) |> length()
 
-  @doc "An attribute of the first element that a selector finds, or `nil`."
+  @doc "Returns an attribute of the first element that matches a selector, or `nil`."
   @spec attribute(t(), String.t(), String.t()) :: String.t() | nil
   def attribute(page, selector, name) do
     [{_, attributes, _} | _] = find!(page, selector)
@@ -115,15 +115,14 @@ defmodule Situ.Live.Test do
 
   defp find!(page, selector) do
     case all(page, selector) do
-      [] -> raise ArgumentError, "nothing fits #{inspect(selector)} in\n" <> render(page)
+      [] -> raise ArgumentError, "no element matches #{inspect(selector)} in\n" <> render(page)
       found -> found
     end
   end
 
   @doc """
-  Clicks the first element that a selector finds: its `phx-click` (or its link), with its `phx-value-*`. Returns what
-  the view
-  answered: `:ok`, `{:ok, reply}` of a `{:reply, ...}`, or `{:error, reason}` when it died.
+  Clicks the first element that matches a selector: sends its `phx-click` (or follows its link), with its
+  `phx-value-*`. Returns `:ok`, `{:ok, reply}` after a `{:reply, ...}`, or `{:error, reason}` if the view died.
   """
   @spec click(t(), String.t(), map()) :: :ok | {:ok, map()} | {:error, term()}
   def click(page, selector, value \\ %{}) do
@@ -153,14 +152,14 @@ defmodule Situ.Live.Test do
     Map.merge(own, value)
   end
 
-  @doc "Changes fields of a form (nested maps of strings): its `phx-change`. `target:` is the path of the field."
+  @doc "Sends a form's `phx-change` with fields (nested maps of strings); `target:` is the path of the changed field."
   @spec change(t(), String.t(), map(), keyword()) :: :ok | {:ok, map()} | {:error, term()}
   def change(page, selector, fields, opts \\ []) do
     meta = if opts[:target], do: %{"_target" => Query.name(opts[:target])}, else: %{}
     form(page, selector, "phx-change", fields, meta)
   end
 
-  @doc "Submits a form: its `phx-submit`."
+  @doc "Submits a form: sends its `phx-submit`."
   @spec submit(t(), String.t(), map()) :: :ok | {:ok, map()} | {:error, term()}
   def submit(page, selector, fields), do: form(page, selector, "phx-submit", fields, %{})
 
@@ -175,22 +174,22 @@ defmodule Situ.Live.Test do
     })
   end
 
-  @doc "An event as a hook or a key sends it."
+  @doc "Sends an event as a hook or a key press does."
   @spec event(t(), String.t(), map(), String.t()) :: :ok | {:ok, map()} | {:error, term()}
   def event(page, name, value \\ %{}, type \\ "hook"),
     do: push(page, "event", %{"type" => type, "event" => name, "value" => json(value)})
 
-  # A browser sends JSON only.
+  # A browser sends only JSON.
   defp json(value) do
     {:ok, value} = value |> Situ.JSON.encode() |> Situ.JSON.decode()
     value
   end
 
-  @doc "Goes to an address within the view, as a patch link or the history does."
+  @doc "Navigates within the view, as a patch link or the browser history does."
   @spec patch(t(), String.t()) :: :ok | {:ok, map()} | {:error, term()}
   def patch(page, to), do: push(page, "live_patch", %{"url" => "http://localhost" <> to})
 
-  @doc "A raw message, for what a browser would not send."
+  @doc "Sends a raw message, to test input that a browser would not send."
   @spec push(t(), String.t(), term()) :: :ok | {:ok, map()} | {:error, term()}
   def push(page, event, payload) do
     case call_browser(page.browser, {:push, event, payload}) do
@@ -211,32 +210,32 @@ defmodule Situ.Live.Test do
     settle(page)
   end
 
-  @doc "The payloads of the `push_event`s of this name since last asked, oldest first."
+  @doc "Returns the payloads of the `push_event`s of this name since the last call, oldest first."
   @spec pushed(t(), String.t()) :: [map()]
   def pushed(page, name) do
     settle(page)
     call_browser(page.browser, {:events, name})
   end
 
-  @doc "Where the view sent the browser: `{:live_patch | :live_redirect | :redirect, path}`, oldest first."
+  @doc "Returns the navigations that the view sent: `{:live_patch | :live_redirect | :redirect, path}`, oldest first."
   @spec visits(t()) :: [{atom(), String.t()}]
   def visits(page) do
     settle(page)
     call_browser(page.browser, :visits)
   end
 
-  @doc "The page's title."
+  @doc "Returns the page's title."
   @spec title(t()) :: String.t() | nil
   def title(page) do
     settle(page)
     call_browser(page.browser, :title)
   end
 
-  @doc "Whether the view's process lives."
+  @doc "Returns whether the view's process is alive."
   @spec alive?(t()) :: boolean()
   def alive?(page), do: Process.alive?(page.view)
 
-  @doc "The HTML of a component, given its assigns."
+  @doc "Returns the HTML of a component with the given assigns."
   @spec component((map() -> term()), Enumerable.t()) :: String.t()
   def component(fun, assigns \\ %{}) do
     %{__changed__: nil, inner_block: []}
@@ -246,7 +245,7 @@ defmodule Situ.Live.Test do
     |> Situ.Live.Html.to_html()
   end
 
-  # A page may be slow on a busy machine, and tests do not measure how slow.
+  # Pages may be slow on a busy machine, and these tests do not measure speed.
   @timeout_ms 60_000
 
   defp call_browser(browser, request), do: GenServer.call(browser, request, @timeout_ms)

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Token do
   @moduledoc """
-  Signed tokens: what a browser keeps for the server and cannot change.
+  Signs values that a browser stores for the server, so that the browser cannot change them.
 
   A token is `BODY.MAC`: base64url of the JSON `[salt, issued_at_seconds, value]`, and its HMAC-SHA256. It is not
   encrypted.
@@ -20,7 +20,7 @@ defmodule Situ.Live.Token do
     body <> "." <> mac(secret, body)
   end
 
-  @doc "The value, when the signature fits, the salt is the same and the age is at most `max_age_s`."
+  @doc "Returns the value if the signature is valid, the salt is the same and the age is at most `max_age_s`."
   @spec verify(binary(), String.t(), term(), pos_integer(), integer()) ::
           {:ok, term()} | {:error, :bad_token | :expired}
   def verify(secret, salt, token, max_age_s, now_s \\ System.system_time(:second))

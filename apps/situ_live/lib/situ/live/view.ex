@@ -1,6 +1,6 @@
 defmodule Situ.Live.View do
   @moduledoc """
-  A page that lives on the server: callbacks and names are those of `Phoenix.LiveView`.
+  A page whose state lives on the server. It uses the callbacks and names of `Phoenix.LiveView`.
 
       defmodule Counter do
         use Situ.Live.View
@@ -19,12 +19,11 @@ defmodule Situ.Live.View do
         end
       end
 
-  A page is mounted twice: once for its first HTML (`connected?(socket)` is false), once in a process of its own when
-  the
-  browser connects. `handle_params/3` follows each `mount/3` and each patch of the address.
+  A page is mounted twice: once for its first HTML (`connected?(socket)` is false), and once in its own process when
+  the browser connects. `handle_params/3` is called after each `mount/3` and each patch of the address.
 
-  A form's fields come as nested maps of strings, `"_target"` names the field that changed. A raise in a callback ends
-  this view's process alone; the browser mounts a fresh one within about a second, with the forms' text kept.
+  A form's fields arrive as nested maps of strings; `"_target"` names the field that changed. An exception in a callback
+  ends only this view's process. The browser mounts a new one within about a second and keeps the text in forms.
 
   `assign(socket, :page_title, "...")` sets the title.
   """
@@ -98,6 +97,7 @@ defmodule Situ.Live.View do
   defp noreply!(other, view, callback), do: bad!(view, callback, other)
 
   defp bad!(view, callback, other) do
-    raise ArgumentError, "#{inspect(view)}.#{callback} returned #{inspect(other, limit: 5)}"
+    raise ArgumentError,
+          "invalid result of #{inspect(view)}.#{callback}: #{inspect(other, limit: 5)}"
   end
 end

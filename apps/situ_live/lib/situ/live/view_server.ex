@@ -1,11 +1,11 @@
 defmodule Situ.Live.ViewServer do
   @moduledoc false
-  # The process of one joined view, under its server's view supervisor. It ends with the connection that asked for it.
-  # Messages for the browser are encoded here, so that one large page does not hold up the connection's other topics.
+  # The process of one joined view, under its server's view supervisor. It ends together with the connection that
+  # started it. It encodes messages for the browser itself, so that one large page does not delay the connection's
+  # other topics.
   #
-  # From the connection: {:situ_live, ref, event, payload}. To it: {:situ_live, topic, ref | nil, text}, `ref` when it
-  # is
-  # the answer to that message.
+  # From the connection: {:situ_live, ref, event, payload}. To it: {:situ_live, topic, ref | nil, text}, where `ref` is
+  # set in the reply to a message and equals that message's `ref`.
   use GenServer, restart: :temporary
   require Logger
   alias Situ.JSON
@@ -85,7 +85,7 @@ defmodule Situ.Live.ViewServer do
 
   defp patched(_state, response, nil), do: response
 
-  # As the browser knows it: behind a proxy there may be a path before the server's own.
+  # Converts to the path that the browser uses: a proxy may add a prefix.
   defp outward(state, %{"to" => "/" <> _ = to} = target),
     do: %{target | "to" => Public.base(state.config.public) <> to}
 
@@ -128,7 +128,7 @@ defmodule Situ.Live.ViewServer do
     end
   end
 
-  # The browser patches only what it believes to be this view; where the route disagrees it must load the page.
+  # The browser patches only within the page that it takes for this view; if the route differs, it must load the page.
   defp message("live_patch", %{"url" => url}, ref, state) do
     case Page.find(state.config, url) do
       {:ok, %{target: view} = route, params} when view == state.socket.view ->
@@ -180,7 +180,7 @@ defmodule Situ.Live.ViewServer do
     follow(%{state | dirty?: false}, navigation)
   end
 
-  # A navigation does not wait: the browser is about to leave what it shows.
+  # A navigation is sent immediately, because the browser is about to leave the page.
   defp changed(%{socket: %{navigation: nil}} = state), do: push(state)
 
   defp changed(state) do
@@ -198,7 +198,7 @@ defmodule Situ.Live.ViewServer do
   defp wake(%{timer: nil} = state, ms),
     do: %{state | timer: Process.send_after(self(), :situ_live_render, ms)}
 
-  # An earlier one is waiting: after it the time left is asked for again.
+  # A timer is already running; when it fires, the remaining time is computed again.
   defp wake(state, _ms), do: state
 
   defp send_diff(state) do
@@ -258,7 +258,7 @@ defmodule Situ.Live.ViewServer do
 
       _ ->
         raise ArgumentError,
-              "push_patch to #{inspect(to)}: not a page of #{inspect(state.socket.view)}"
+              "invalid push_patch to #{inspect(to)}: this is not a page of #{inspect(state.socket.view)}"
     end
   end
 
@@ -278,7 +278,7 @@ defmodule Situ.Live.ViewServer do
     :ok
   end
 
-  # A raise ends the process with a reason that holds no assigns: what a report prints may be read by others.
+  # An exception ends the process with a reason that contains no assigns, because crash reports may be read by others.
   defp guard(state, fun) do
     fun.(state)
   catch

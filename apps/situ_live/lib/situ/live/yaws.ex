@@ -1,6 +1,6 @@
 defmodule Situ.Live.Yaws do
   @moduledoc false
-  # The only place that knows Yaws: one embedded instance per VM, to which servers (a port each) are added and removed.
+  # The only module that manages Yaws: one embedded instance per VM, to which servers (one port each) are added.
   # Requests come in through `Situ.Live.Yaws.Dispatch`, WebSockets through `Situ.Live.Yaws.WebSocket`.
   use Supervisor
 
@@ -9,15 +9,13 @@ defmodule Situ.Live.Yaws do
 
   @compile {:no_warn_undefined, [:yaws, :yaws_api, :yaws_sup, :yaws_config, :yaws_log]}
 
-  # An idle keep-alive connection, and the wait for each line of a request's head, end after this time.
+  # Closes idle keep-alive connections, and connections that take longer than this for one line of a request's head.
   @idle_ms 15_000
   @send_timeout_ms 15_000
   @max_connections 2_000
-  # Yaws reads a head line by line, up to a thousand lines of 16 KiB, into the heap of the connection's process,
-  # sixteen bytes
-  # for each. So many words hold a head of about 128 KiB; a larger one ends the connection. `Situ.Live.Yaws.Dispatch`
-  # lifts
-  # the limit once the head is read.
+  # Yaws reads a head line by line, up to a thousand lines of 16 KiB, into the heap of the connection's process; each
+  # byte takes sixteen bytes of heap. This number of words fits a head of about 128 KiB; a larger head ends the
+  # connection. `Situ.Live.Yaws.Dispatch` lifts the limit once the head is read.
   @head_heap %{size: 1_000_000, kill: true, error_logger: false}
 
   @spec start_link(term()) :: Supervisor.on_start()
@@ -55,11 +53,9 @@ defmodule Situ.Live.Yaws do
     :ignore
   end
 
-  # Yaws would write a module to a file of a known name in the common temporary folder, compile and load it, where
-  # others
-  # of the machine may have put theirs. It is given a folder of its own in which it cannot write that file, and then
-  # uses
-  # the module it has.
+  # Yaws would write a module to a file with a predictable name in the shared temporary folder, then compile and load
+  # it. Other users of the machine could place their own file there. It is therefore given a private folder in which
+  # it cannot write that file, and falls back to the module that it already has.
   defp without_generated_code(fun) do
     home = Error.unwrap!(Situ.Scratch.create("yaws"))
     before = System.get_env("YAWSHOME")
@@ -74,9 +70,8 @@ defmodule Situ.Live.Yaws do
     end
   end
 
-  # What Yaws says about listening and stopping is for its own operators, and what it says about rude clients (a line
-  # for
-  # each) would let them fill the log. Its own failures pass.
+  # Drops Yaws's messages about listening and stopping, which are meant for its own operators, and its messages about
+  # misbehaving clients, who could fill the log with them. Yaws's own errors pass.
   @doc false
   def quiet(%{level: level} = event, _) do
     cond do
@@ -87,7 +82,7 @@ defmodule Situ.Live.Yaws do
     end
   end
 
-  # ("Cannot write" is of `without_generated_code/1`.)
+  # ("Cannot write" is caused by `without_generated_code/1`.)
   @rude ["Unhandled reply", "Invalid", "Expected origin", "Unsupported", "No key", "Unmasked"] ++
           ["Payload length", "Abnormal Closure", "get_client_data", "Cannot write"]
 
@@ -96,7 +91,7 @@ defmodule Situ.Live.Yaws do
 
   defp rude_client?(_), do: false
 
-  @doc "Listens. `ref` is handed to the dispatcher with every request."
+  @doc "Opens a port; `ref` is passed to the dispatcher with every request."
   @spec add(term(), :inet.ip_address(), :inet.port_number(), keyword()) ::
           {:ok, term()} | {:error, Error.t()}
   def add(ref, ip, port, tls) do
@@ -129,10 +124,10 @@ defmodule Situ.Live.Yaws do
     end
   end
 
-  # Yaws needs a folder of files and one of logs, but is configured to serve no files and to write no logs.
+  # Yaws requires a document folder and a log folder, but is configured to serve no files and to write no logs.
   defp unused_folder, do: String.to_charlist(Application.app_dir(:situ_live, "ebin"))
 
-  @doc "Closes a port. Yaws takes a second for it, and up to a minute while requests are being answered."
+  @doc "Closes a port. This takes Yaws a second, or up to a minute while it handles requests."
   @spec remove(term()) :: :ok
   def remove(sconf) do
     :gen_server.call(:yaws_server, {:delete_sconf, sconf}, 90_000)
@@ -141,8 +136,8 @@ defmodule Situ.Live.Yaws do
     :exit, _ -> :ok
   end
 
-  # Yaws makes a port that it already serves a virtual host of the same port, and a port 0 one port for all: so look
-  # first.
+  # Yaws would turn a port that it already serves into a virtual host of that port, and would use one port for every
+  # port 0. The port is therefore checked first.
   defp check_free(ip, port) do
     options =
       [:binary, ip: ip, reuseaddr: true] ++ if(tuple_size(ip) == 8, do: [:inet6], else: [])
@@ -153,7 +148,7 @@ defmodule Situ.Live.Yaws do
     end
   end
 
-  @doc "A port that is free now."
+  @doc "Returns a port that is currently free."
   @spec free_port(:inet.ip_address()) :: {:ok, :inet.port_number()} | {:error, Error.t()}
   def free_port(ip) do
     options = [ip: ip] ++ if(tuple_size(ip) == 8, do: [:inet6], else: [])
@@ -191,7 +186,7 @@ defmodule Situ.Live.Yaws do
     end
   end
 
-  # As in mix.exs, for a VM that was not started by Mix or from a release.
+  # Searches like mix.exs, for a VM that was not started by Mix or from a release.
   defp find do
     erlang = to_string(:code.lib_dir())
 
@@ -202,7 +197,7 @@ defmodule Situ.Live.Yaws do
       nil ->
         {:error,
          Error.new(:no_web_server, "the web server Yaws is not installed",
-           fix: "install the package erlang-yaws, or put the folder of Yaws into #{erlang}"
+           fix: "install the package erlang-yaws, or put the Yaws folder into #{erlang}"
          )}
 
       ebin ->

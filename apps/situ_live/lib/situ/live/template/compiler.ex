@@ -1,15 +1,16 @@
 defmodule Situ.Live.Template.Compiler do
   @moduledoc false
-  # Nodes -> Elixir code that builds a %Rendered{}. Pieces of a template are gathered as texts and values, in order.
+  # Compiles nodes to Elixir code that builds a %Rendered{}. The parts of a template are collected as strings and
+  # values, in order.
   #
-  # At the top level a value is guarded by the assigns that it reads: when none of them changed it is `:unchanged`.
-  # Inside
-  # (loops, branches, slots) all values are made, and the differ drops the equal ones: so a mistake here costs time
-  # only.
+  # At the top level each value is guarded by the assigns that it reads: if none of them changed, it is `:unchanged`.
+  # Inside loops, branches and slots all values are computed, and the differ drops equal ones, so a wrong guard there
+  # would only cost time.
   alias Situ.Live.{Comprehension, Html, Rendered}
   alias Situ.Live.Template.{Parser, Runtime}
 
-  # A value that reads a variable of the function around the template is always made: nobody tells when that changes.
+  # A value that reads a variable of the surrounding function is always computed, because changes of variables are not
+  # tracked.
 
   @spec compile([tuple()], [{atom(), atom()}]) :: Macro.t()
   def compile(nodes, variables), do: rendered(nodes, {:top, variables})
@@ -42,7 +43,7 @@ defmodule Situ.Live.Template.Compiler do
     :erlang.phash2({static, Macro.to_string(values)}, 4_294_967_296)
   end
 
-  # White space at the ends is the heredoc's, not the author's.
+  # White space at the start and end comes from the heredoc, not from the author.
   defp trim(nodes) do
     nodes
     |> trim_first(&String.trim_leading/1)
@@ -88,8 +89,8 @@ defmodule Situ.Live.Template.Compiler do
     end
   end
 
-  # The names read as @name, or :all when assigns itself is touched. Templates nested in the value are already code, so
-  # the assigns they read are found too.
+  # Returns the names read as @name, or :all if `assigns` itself is used. Templates nested in the value are already
+  # compiled, so the assigns that they read are found, too.
   defp reads(_, :inner), do: :all
 
   defp reads(ast, {:top, variables}) do
@@ -129,7 +130,7 @@ defmodule Situ.Live.Template.Compiler do
     end)
   end
 
-  # -- pieces: {:text, text} and {:value, ast}
+  # -- parts: {:text, text} and {:value, ast}
 
   defp pieces(nodes), do: Enum.flat_map(nodes, &piece/1)
 
@@ -160,16 +161,16 @@ defmodule Situ.Live.Template.Compiler do
   defp check_special(special, name, at) do
     for {key, value} <- special do
       unless key in [":if", ":for", ":key", ":let"],
-        do: Parser.error(at, "#{key} on <#{name}>: known are :if, :for, :key and :let")
+        do: Parser.error(at, "unknown #{key} on <#{name}>: expected :if, :for, :key or :let")
 
-      unless match?({:expr, _}, value), do: Parser.error(at, "#{key} on <#{name}> takes braces")
+      unless match?({:expr, _}, value), do: Parser.error(at, "#{key} on <#{name}> needs braces")
     end
 
     if special[":key"] && !special[":for"],
       do: Parser.error(at, ":key on <#{name}> without :for")
   end
 
-  # `:for` with `:if` is a filter.
+  # On a tag with `:for`, `:if` filters the entries.
   defp loop(generator, special, element, at) do
     {static, values} = [element] |> pieces() |> join([""], [])
     fingerprint = fingerprint(static, values)
@@ -196,7 +197,7 @@ defmodule Situ.Live.Template.Compiler do
   defp two_tuple(node), do: node
 
   defp generator({:<-, _, [pattern, enumerable]}, _at), do: {pattern, enumerable}
-  defp generator(_, at), do: Parser.error(at, ":for takes a generator: :for={x <- @xs}")
+  defp generator(_, at), do: Parser.error(at, ":for requires a generator: :for={x <- @xs}")
 
   defp join([{:text, text} | rest], [last | static], values),
     do: join(rest, [last <> text | static], values)
@@ -220,15 +221,17 @@ defmodule Situ.Live.Template.Compiler do
         component(fun, attributes, special, children, at)
 
       _ ->
-        Parser.error(at, "<#{name}> is no call of a component: <Module.function>")
+        Parser.error(at, "<#{name}> does not call a component; write <Module.function>")
     end
   end
 
   defp element(":" <> name, _, _, _, at),
-    do: Parser.error(at, "the slot <:#{name}> stands directly inside a component only")
+    do: Parser.error(at, "the slot <:#{name}> must be directly inside a component")
 
   defp element(name, attributes, special, children, at) do
-    if special != %{}, do: Parser.error(at, ":let on <#{name}>: it is for components and slots")
+    if special != %{},
+      do: Parser.error(at, ":let on <#{name}> works only on components and slots")
+
     open = [{:text, "<" <> name} | Enum.flat_map(attributes, &attribute/1)]
 
     case children do
@@ -244,7 +247,7 @@ defmodule Situ.Live.Template.Compiler do
   defp attribute({name, true}), do: [{:text, " " <> name}]
   defp attribute({name, text}) when is_binary(text), do: [{:text, " #{name}=\"#{quoted(text)}\""}]
 
-  # These two stay when they are empty: a stylesheet may ask for them, and the diff is shorter.
+  # Empty class and style attributes are kept: stylesheets may select them, and the diff is shorter.
   defp attribute({name, {:expr, ast}}) when name in ["class", "style"] do
     value = quote(do: unquote(Html).attribute_value(unquote(ast)))
     [{:text, " #{name}=\""}, {:value, value}, {:text, "\""}]
@@ -254,7 +257,7 @@ defmodule Situ.Live.Template.Compiler do
     [{:value, quote(do: unquote(Html).attribute_text(unquote(" " <> name), unquote(ast)))}]
   end
 
-  # Written in single quotes it may hold double ones.
+  # A value in single quotes may contain double quotes.
   defp quoted(text), do: String.replace(text, "\"", "&quot;")
 
   defp component(fun, attributes, special, children, at) do
@@ -325,7 +328,7 @@ defmodule Situ.Live.Template.Compiler do
     end
   end
 
-  # Assigns are read as @name; what is meant for the tag (phx-click, data-x) keeps its name.
+  # Assigns are read as @name, so `-` becomes `_`; attributes for the tag (phx-click, data-x) keep their names.
   defp attribute_atom(underscored, name) do
     if name =~ ~r/\A(phx|data|aria)-/, do: String.to_atom(name), else: String.to_atom(underscored)
   end

@@ -1,11 +1,11 @@
 defmodule Situ.Live.Template.Parser do
   @moduledoc false
-  # Template text -> nodes, by recursive descent.
+  # Parses a template string into nodes, by recursive descent.
   #
   #   {:text, text} | {:expr, ast} | {:element, name, attributes, children | :void, position}
   #   attribute: {name, text | true | {:expr, ast}} | {:spread, ast}
   #
-  # `ctx` carries file, line, column and the indentation that the heredoc has lost.
+  # `ctx` contains the file, line, column and the indentation that the heredoc removed.
 
   @void ~w(area base br col embed hr img input link meta param source track wbr)
   @space [?\s, ?\n, ?\t, ?\r]
@@ -84,7 +84,7 @@ defmodule Situ.Live.Template.Parser do
     nodes(rest, advance(ctx, text), tag, [{:text, text} | acc])
   end
 
-  # At least one character, so that a lone `<` is text.
+  # Takes at least one character, so that a lone `<` is text.
   defp text(source, stops) do
     scope = {1, byte_size(source) - 1}
 
@@ -135,7 +135,7 @@ defmodule Situ.Live.Template.Parser do
         attributes(rest, ctx, tag_at, [{:spread, ast} | acc])
 
       "" ->
-        error(tag_at, "this tag has no >")
+        error(tag_at, "this tag has no closing >")
 
       _ ->
         {attribute, rest, ctx} = attribute(source, ctx)
@@ -145,7 +145,7 @@ defmodule Situ.Live.Template.Parser do
 
   defp attribute(source, ctx) do
     {name, rest} = take_name(source)
-    if name == "", do: error(ctx, "an attribute's name is expected here")
+    if name == "", do: error(ctx, "expected an attribute name")
     ctx = advance(ctx, name)
 
     case rest do
@@ -165,7 +165,7 @@ defmodule Situ.Live.Template.Parser do
     end
   end
 
-  # The expression ends at the first `}` up to which the text is valid Elixir.
+  # The expression ends at the first `}` before which the code is valid Elixir.
   defp braces(source, ctx, from \\ 0) do
     case :binary.match(source, "}", scope: {from, byte_size(source) - from}) do
       :nomatch ->

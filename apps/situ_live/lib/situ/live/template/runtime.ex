@@ -3,7 +3,7 @@ defmodule Situ.Live.Template.Runtime do
   # The functions that compiled templates call.
   alias Situ.Live.{Comprehension, Stream}
 
-  @doc "Whether a value that reads these assigns must be made new."
+  @doc "Returns whether a value that reads these assigns must be computed again."
   def changed?(%{__changed__: %{} = changed}, names),
     do: Enum.any?(names, &is_map_key(changed, &1))
 
@@ -16,7 +16,7 @@ defmodule Situ.Live.Template.Runtime do
 
       _ ->
         known = assigns |> Map.keys() |> Enum.reject(&(&1 in [:__changed__, :flash]))
-        raise KeyError, message: "no assign @#{name}; there are #{inspect(known)}"
+        raise KeyError, message: "no assign @#{name}; available: #{inspect(known)}"
     end
   end
 

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Test.Browser do
   @moduledoc false
-  # Stands where the connection stands: takes what the view sends, keeps the page, acknowledges.
+  # Takes the role of the connection: receives the view's messages, keeps the page, and acknowledges diffs.
   use GenServer
   alias Situ.JSON
   alias Situ.Live.ViewServer
@@ -96,7 +96,7 @@ defmodule Situ.Live.Test.Browser do
     }
   end
 
-  # Rows of a stream live in the page only.
+  # Only the page keeps the rows of a stream.
   defp stream({[ref, inserts, deletes | reset], htmls}, rows) do
     kept = if reset == [true], do: [], else: Map.get(rows, ref, [])
     kept = Enum.reject(kept, fn {id, _} -> id in deletes end)

@@ -1,8 +1,8 @@
 defmodule Situ.Live.Test.Dom do
   @moduledoc false
-  # Enough of HTML to find what a test names. A node is a text or `{tag, attributes, children}`.
+  # Parses enough HTML to find the elements that a test selects. A node is a string or `{tag, attributes, children}`.
   #
-  # Selectors: `tag`, `#id`, `.class`, `[name]`, `[name=value]`, joined without space, and descendants by a space.
+  # Selectors: `tag`, `#id`, `.class`, `[name]`, `[name=value]`, combined without spaces; a space selects descendants.
 
   @void ~w(area base br col embed hr img input link meta param source track wbr)
 
@@ -118,7 +118,7 @@ defmodule Situ.Live.Test.Dom do
     parts = Regex.scan(@part, text)
 
     if parts |> Enum.map_join(&hd/1) != text,
-      do: raise(ArgumentError, "not a selector of this test client: #{inspect(text)}")
+      do: raise(ArgumentError, "unsupported selector: #{inspect(text)}")
 
     Enum.map(parts, fn
       [_, id] -> {:attribute, "id", id}

@@ -1,7 +1,7 @@
 defmodule Situ.Live.Test.Tree do
   @moduledoc false
-  # The work of the browser's client on diffs: merge them into a tree, turn the tree into HTML. Written from the grammar
-  # of the messages, not from `Situ.Live.Diff`, so that the two check each other.
+  # Handles diffs as the browser's client does: merges them into a tree and converts the tree to HTML. Written from the
+  # message grammar, not from `Situ.Live.Diff`, so that the two check each other.
 
   @type t :: map()
 
@@ -17,7 +17,7 @@ defmodule Situ.Live.Test.Tree do
     Map.put(tree, "c", Map.merge(old, merged))
   end
 
-  # Texts that were sent once are put where their numbers stand.
+  # Static strings that were sent once replace the numbers that refer to them.
   defp merge_root(tree, diff) do
     {texts, diff} = Map.pop(diff, "p", %{})
     islands = Map.get(tree, "c")
@@ -71,7 +71,7 @@ defmodule Situ.Live.Test.Tree do
   defp stream(tree, _), do: tree
 
   @doc """
-  The HTML of the tree. `rows` are the streams' rows by the stream's ref; they are kept by the page, not the tree.
+  Returns the HTML of the tree. `rows` maps a stream's ref to its rows, which belong to the page, not the tree.
   """
   @spec html(t()) :: String.t()
   def html(tree), do: tree |> out(Map.get(tree, "c", %{}), &entries/2) |> IO.iodata_to_binary()
@@ -102,7 +102,7 @@ defmodule Situ.Live.Test.Tree do
     [text, out(value, islands, list) | weave(texts, node, i + 1, islands, list)]
   end
 
-  @doc "The tree's inserts and deletes of streams, with the rows' HTML; read once after each merge."
+  @doc "Returns the stream inserts and deletes of the tree, with the rows' HTML; call it once after each merge."
   @spec streams(t()) :: [{[term()], [String.t()]}]
   def streams(tree) do
     for %{"stream" => stream} = node <- nodes(tree) do
@@ -110,7 +110,7 @@ defmodule Situ.Live.Test.Tree do
     end
   end
 
-  @doc "Without the entries of streams: they are applied."
+  @doc "Removes the stream entries, which have been applied."
   @spec drained(t()) :: t()
   def drained(%{"stream" => [ref | _], "k" => _} = node),
     do: %{node | "k" => %{"kc" => 0}, "stream" => [ref, [], []]}

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Yaws.Answer do
   @moduledoc false
-  # A `Situ.Live.Response` on a socket: head, framing, body; files by the kernel where it can.
+  # Writes a `Situ.Live.Response` to a socket: head, framing, body. The kernel sends files where possible.
   require Logger
   alias Situ.Live.{Request, Response}
 
@@ -10,11 +10,11 @@ defmodule Situ.Live.Yaws.Answer do
 
   @type socket :: :gen_tcp.socket() | {:ssl, :ssl.sslsocket()}
 
-  @doc "Tells a client that waits for it to send the body."
+  @doc "Sends `100 Continue` to a client that waits for it before it sends the body."
   @spec continue(socket()) :: :ok | {:error, term()}
   def continue(socket), do: send_bytes(socket, "HTTP/1.1 100 Continue\r\n\r\n")
 
-  @doc "Writes `response`; `:done` keeps the connection, `:closed` ends it."
+  @doc "Writes `response`; returns `:done` to keep the connection or `:closed` to end it."
   @spec write(socket(), map(), Request.t(), Response.t(), boolean()) :: :done | :closed
   def write(socket, config, request, %Response{} = response, keep?) do
     {framing, body} = framing(response.body, request, response.status, keep?)
@@ -36,7 +36,7 @@ defmodule Situ.Live.Yaws.Answer do
     end
   end
 
-  # A line break in a header would start another header.
+  # A line break in a header would begin another header.
   defp header({name, value}) do
     value = :binary.replace(IO.iodata_to_binary(value), ["\r", "\n"], " ", [:global])
     [name, ": ", value, "\r\n"]
@@ -83,7 +83,7 @@ defmodule Situ.Live.Yaws.Answer do
 
     if result == :ok and framing == :chunked, do: send_bytes(socket, "0\r\n\r\n"), else: result
   catch
-    # The head is out already: an end without the last chunk tells the client that something is missing.
+    # The head was already sent; without the last chunk the client detects that the body is incomplete.
     kind, reason ->
       Logger.error(Exception.format(kind, reason, __STACKTRACE__))
       :error
@@ -129,7 +129,7 @@ defmodule Situ.Live.Yaws.Answer do
   defp send_bytes({:ssl, socket}, bytes), do: :ssl.send(socket, bytes)
   defp send_bytes(socket, bytes), do: :gen_tcp.send(socket, bytes)
 
-  # Yaws knows the older ones.
+  # Yaws knows only the older status codes.
   defp reason(421), do: "Misdirected Request"
   defp reason(status) when status in 200..417, do: :yaws_api.code_to_phrase(status)
   defp reason(status) when status in [500, 501, 502, 503], do: :yaws_api.code_to_phrase(status)

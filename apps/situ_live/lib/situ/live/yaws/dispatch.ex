@@ -1,7 +1,8 @@
 defmodule Situ.Live.Yaws.Dispatch do
   @moduledoc false
-  # Called by Yaws, in the process of the connection, with each request whose head is read. Turns it into a
-  # `Situ.Live.Request`, asks the endpoint, writes the answer; `:done` keeps the connection, `:closed` ends it.
+  # Yaws calls this module, in the process of the connection, with each request whose head has been read. It builds a
+  # `Situ.Live.Request`, passes it to the endpoint and writes the response. `:done` keeps the connection, `:closed` ends
+  # it.
   require Logger
   require Record
   alias Situ.Live.{Connections, Endpoint, Request, Response}
@@ -17,7 +18,7 @@ defmodule Situ.Live.Yaws.Dispatch do
 
   @piece 65_536
 
-  # The limit while a head is read (`Situ.Live.Yaws`) does not bind the handler.
+  # The heap limit for reading a head (`Situ.Live.Yaws`) does not apply to the handler.
   def dispatch(arg(opaque: ref) = arg) do
     limit = Process.flag(:max_heap_size, 0)
 
@@ -31,7 +32,7 @@ defmodule Situ.Live.Yaws.Dispatch do
     end
   end
 
-  # Garbage of the handler must not count against the next head.
+  # The handler's garbage must not count against the next head.
   defp limit_again(%{size: size} = limit) do
     {:total_heap_size, held} = Process.info(self(), :total_heap_size)
     if size > 0 and held > div(size, 8), do: :erlang.garbage_collect()
@@ -86,7 +87,7 @@ defmodule Situ.Live.Yaws.Dispatch do
     end
   end
 
-  # A handler that raises costs its own request only.
+  # An exception in a handler affects only its own request.
   defp run(config, route) do
     case Endpoint.run(config, route) do
       %Response{} = response -> response
@@ -121,7 +122,7 @@ defmodule Situ.Live.Yaws.Dispatch do
           close_if_unmasked: true
         ]
 
-        # Hands the connection to a process of its own and ends this one.
+        # Passes the connection to a new process and ends this one.
         :yaws_websockets.start(arg, Situ.Live.Yaws.WebSocket, options)
     end
   end
@@ -181,7 +182,7 @@ defmodule Situ.Live.Yaws.Dispatch do
   defp authorization(none) when none in [nil, :undefined], do: nil
   defp authorization(value), do: bytes(value)
 
-  # Two host headers: neither.
+  # If there are several host headers, none of them is used.
   defp host(none) when none in [nil, :undefined], do: nil
   defp host({_several}), do: ""
   defp host(host), do: bytes(host)
@@ -213,7 +214,7 @@ defmodule Situ.Live.Yaws.Dispatch do
     read(socket, length, deadline, [])
   end
 
-  # The deadline is for all of it: a client that sends a byte now and then does not hold the connection.
+  # The deadline applies to the whole body, so that a client cannot hold the connection by sending a byte now and then.
   defp read(_socket, 0, _deadline, acc), do: {:ok, acc |> Enum.reverse() |> IO.iodata_to_binary()}
 
   defp read(socket, length, deadline, acc) do

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Yaws.WebSocket do
   @moduledoc false
-  # Yaws's callbacks in the process of one WebSocket, turned into those of `Situ.Live.SocketHandler`.
+  # Maps Yaws's callbacks, in the process of one WebSocket, to the callbacks of `Situ.Live.SocketHandler`.
   require Logger
   alias Situ.Live.Connections
 
@@ -8,7 +8,7 @@ defmodule Situ.Live.Yaws.WebSocket do
 
   defstruct [:handler, :arg, :request, :ref, :seen, :state, open?: false]
 
-  # The handler itself starts in handle_open: before that nothing may be sent.
+  # The handler starts in handle_open, because nothing may be sent earlier.
   def init([_arg, {{handler, arg, _opts, request}, ref}]) do
     {:ok,
      %__MODULE__{
@@ -86,18 +86,18 @@ defmodule Situ.Live.Yaws.WebSocket do
   defp result(:raised, socket), do: {:close, {1011, "internal error"}, socket}
 
   defp result(other, socket) do
-    Logger.error("#{inspect(socket.handler)} returned #{inspect(other, limit: 5)}")
+    Logger.error("invalid result of #{inspect(socket.handler)}: #{inspect(other, limit: 5)}")
     {:close, {1011, "internal error"}, socket}
   end
 
   defp frames(frames) when is_list(frames), do: Enum.map(frames, &frame/1)
   defp frames(frame), do: [frame(frame)]
 
-  # Yaws wants one binary per frame.
+  # Yaws requires one binary per frame.
   defp frame({opcode, data}) when opcode in [:text, :binary],
     do: {opcode, IO.iodata_to_binary(data)}
 
-  # Raised here it would be reported by the process together with its state, cookies and tokens included.
+  # An uncaught exception would be reported with the state of the process, including cookies and tokens.
   defp guard(_socket, fun) do
     fun.()
   catch
