@@ -1,7 +1,7 @@
 defmodule Situ.Audio do
   @moduledoc """
-  Streams of sound: every function takes a stream of `Situ.AudioBuffer` first and returns a stream (or a map of them).
-  The same on one buffer in hand is in `Situ.Sound`.
+  Operators on audio streams. Every function takes a stream of `Situ.AudioBuffer` first and returns a stream (or a map
+  of streams). `Situ.Sound` has the same operations for single buffers.
 
       def build(p, _opts) do
         clip = Situ.Media.VideoFile.open(p, "talk1.mp4")
@@ -10,15 +10,15 @@ defmodule Situ.Audio do
         features.log_energy |> Situ.each(&IO.inspect/1)
       end
 
-  The originating time of a buffer is the time of its **end**, and every operator keeps that exact to the sample.
-  All take the common options `name:`, `policy:`, `async:` and `on_error:` besides their own.
+  The originating time of a buffer is the time of its **end**, and every operator keeps it exact to the sample.
+  All operators also take the common options `name:`, `policy:`, `async:` and `on_error:`.
   """
   alias Situ.Graph.Placement
   alias Situ.{AudioBuffer, AudioFormat, Error, Operator, Sound, Stream}
   alias Situ.Audio.{Analyzer, Ducker, Level, Mixer, NoiseGate, Reframer, Resampler, Streamline}
 
   @doc """
-  At another rate; `quality:` as in `Situ.Audio.Resampler`.
+  Resamples the stream to another rate. For `quality:`, see `Situ.Audio.Resampler`.
 
       iex> buffer = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(48_000), 960)
       iex> feed = for i <- 1..10, do: {i * 20_000_000, buffer}
@@ -29,24 +29,24 @@ defmodule Situ.Audio do
   @spec resample(Stream.t(), pos_integer(), keyword()) :: Stream.t()
   def resample(stream, rate, opts \\ []), do: Situ.via(stream, Resampler, [rate: rate] ++ opts)
 
-  @doc "In another sample type or number of channels: `Situ.Sound.reformat/2`."
+  @doc "Converts the sample type or the number of channels (`Situ.Sound.reformat/2`)."
   @spec reformat(Stream.t(), keyword()) :: Stream.t()
   def reformat(stream, opts) do
     {placed, opts} = Placement.apart(opts, :component)
     map(stream, "Reformat", &Error.unwrap!(Sound.reformat(&1, opts)), placed)
   end
 
-  @doc "The mean of all channels."
+  @doc "Mixes all channels down to mono, as their mean."
   @spec to_mono(Stream.t(), keyword()) :: Stream.t()
   def to_mono(stream, opts \\ []),
     do: map(stream, "Mono", &Error.unwrap!(Sound.reformat(&1, channels: 1)), opts)
 
-  @doc "One channel as both, or two as they are."
+  @doc "Converts to stereo. A mono channel is copied to both sides, and stereo is unchanged."
   @spec to_stereo(Stream.t(), keyword()) :: Stream.t()
   def to_stereo(stream, opts \\ []),
     do: map(stream, "Stereo", &Error.unwrap!(Sound.reformat(&1, channels: 2)), opts)
 
-  @doc "One channel, counted from 0, as mono."
+  @doc "Selects one channel, counted from 0, as mono."
   @spec select_channel(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
   def select_channel(stream, channel, opts \\ []) do
     map(
@@ -57,18 +57,18 @@ defmodule Situ.Audio do
     )
   end
 
-  @doc "Mixed by a matrix of gains: `Situ.Sound.remix/3`."
+  @doc "Mixes the channels with a matrix of gains (`Situ.Sound.remix/3`)."
   @spec remix(Stream.t(), [[number()]], keyword()) :: Stream.t()
   def remix(stream, matrix, opts \\ []),
     do: map(stream, "Remix", &Error.unwrap!(Sound.remix(&1, matrix)), opts)
 
-  @doc "Louder or quieter, by a factor or `{:db, n}`."
+  @doc "Changes the volume by a factor or by `{:db, n}`."
   @spec gain(Stream.t(), number() | {:db, number()}, keyword()) :: Stream.t()
   def gain(stream, gain, opts \\ []),
     do: map(stream, "Gain", &Error.unwrap!(Sound.gain(&1, gain)), opts)
 
   @doc """
-  Two streams as one sound, laid over each other by their times: `Situ.Audio.Mixer`.
+  Mixes two streams, aligned by their times (`Situ.Audio.Mixer`).
 
       iex> format = Situ.AudioFormat.pcm(1000)
       iex> a = [{2_000_000, Situ.AudioBuffer.from_samples([1, 1], format)}]
@@ -81,7 +81,8 @@ defmodule Situ.Audio do
   def mix(stream, other, opts \\ []), do: Situ.via([in: stream, other: other], Mixer, opts)
 
   @doc """
-  In buffers of an exact size: `frames:` or `duration:`, and `hop:` for overlapping ones (`Situ.Audio.Reframer`).
+  Cuts the audio into buffers of an exact size, given as `frames:` or `duration:`. `hop:` makes them overlap
+  (`Situ.Audio.Reframer`).
 
       iex> format = Situ.AudioFormat.pcm(1000)
       iex> sound = &Situ.AudioBuffer.from_samples(&1, format)
@@ -94,24 +95,27 @@ defmodule Situ.Audio do
   @spec reframe(Stream.t(), keyword()) :: Stream.t()
   def reframe(stream, opts), do: Situ.via(stream, Reframer, opts)
 
-  @doc "Gaps, overlaps and shaky times made good: `Situ.Audio.Streamline`."
+  @doc "Removes gaps, overlaps and timing jitter (`Situ.Audio.Streamline`)."
   @spec streamline(Stream.t(), keyword()) :: Stream.t()
   def streamline(stream, opts \\ []), do: Situ.via(stream, Streamline, opts)
 
   @doc """
-  Acoustic features, a map of streams (`:log_energy`, `:zero_crossing_rate`, ...): `Situ.Audio.Analyzer`.
+  Extracts acoustic features as a map of streams (`:log_energy`, `:zero_crossing_rate`, ...), see
+  `Situ.Audio.Analyzer`.
   """
   @spec features(Stream.t(), keyword()) :: %{atom() => Stream.t()}
   def features(stream, opts \\ []), do: Situ.via(stream, Analyzer, opts)
 
-  @doc "The logarithms of `bands` mel bands (default 40) of each frame, a stream of lists."
+  @doc "Computes the logarithms of `bands` mel bands (default 40) of each frame, as a stream of lists."
   @spec log_mel(Stream.t(), keyword()) :: Stream.t()
   def log_mel(stream, opts \\ []) do
     {bands, opts} = Keyword.pop(opts, :bands, 40)
     features(stream, [dither: 0, mel_bands: bands] ++ opts).log_mel
   end
 
-  @doc "The first `count` (default 13) cepstral coefficients of `bands` mel bands (default 40), a stream of lists."
+  @doc """
+  Computes the first `count` (default 13) cepstral coefficients of `bands` mel bands (default 40), as a stream of lists.
+  """
   @spec mfcc(Stream.t(), keyword()) :: Stream.t()
   def mfcc(stream, opts \\ []) do
     {bands, opts} = Keyword.pop(opts, :bands, 40)
@@ -119,14 +123,14 @@ defmodule Situ.Audio do
     features(stream, [dither: 0, mel_bands: bands, mfcc: count] ++ opts).mfcc
   end
 
-  @doc "How loud each buffer is: a stream of `Situ.Audio.Level`."
+  @doc "Measures the level of each buffer, as a stream of `Situ.Audio.Level`."
   @spec level(Stream.t(), keyword()) :: Stream.t()
   def level(stream, opts \\ []) do
     Operator.attach(stream, "Level", {:map, &Error.unwrap!(Sound.level(&1))}, opts, Level)
   end
 
   @doc """
-  Passes only sound that is louder than the noise, in buffers of 10 ms: `Situ.Audio.NoiseGate`.
+  Passes only audio that is louder than the noise, in buffers of 10 ms (`Situ.Audio.NoiseGate`).
 
       iex> format = Situ.AudioFormat.pcm(1000)
       iex> sound = &Situ.AudioBuffer.from_samples(List.duplicate(&1, 20), format)
@@ -139,16 +143,16 @@ defmodule Situ.Audio do
   def noise_gate(stream, opts \\ []),
     do: stream |> reframe(duration: 10_000_000, tail: :keep) |> Situ.via(NoiseGate, opts)
 
-  @doc "Quieter while a stream of booleans is true: `Situ.Audio.Ducker`."
+  @doc "Lowers the volume while a stream of booleans is true (`Situ.Audio.Ducker`)."
   @spec duck(Stream.t(), Stream.t(), keyword()) :: Stream.t()
   def duck(stream, while, opts \\ []), do: Situ.via([in: stream, while: while], Ducker, opts)
 
-  @doc "The bytes of each buffer."
+  @doc "Returns the bytes of each buffer."
   @spec to_bytes(Stream.t(), keyword()) :: Stream.t()
   def to_bytes(stream, opts \\ []),
     do: Operator.attach(stream, "Bytes", {:map, & &1.data}, opts, :binary)
 
-  @doc "Buffers of a stream of binaries, whole frames each."
+  @doc "Builds audio buffers from a stream of binaries, each of which must hold complete frames."
   @spec from_bytes(Stream.t(), AudioFormat.t(), keyword()) :: Stream.t()
   def from_bytes(stream, %AudioFormat{} = format, opts \\ []),
     do: map(stream, "Sound", &AudioBuffer.new!(format: format, data: &1), opts)

@@ -1,10 +1,10 @@
 defmodule Situ.Imaging do
   @moduledoc """
-  Operations on pictures: resize, crop, convert, filter, draw, measure, read and write files.
+  Operations on images: resize, crop, convert, filter, draw, measure, and read and write files.
 
-  Every function takes a `Situ.Image` first and returns `{:ok, result}` or `{:error, %Situ.Error{}}`; nearly all have
-  a twin with `!` that returns the result or raises. The same on streams is `Situ.Vision`, with the same names and
-  options.
+  Every function takes a `Situ.Image` first and returns `{:ok, result}` or `{:error, %Situ.Error{}}`. Nearly all have
+  a variant with `!` that returns the result or raises. `Situ.Vision` has the same operations for streams, with the
+  same names and options.
 
       iex> image = Situ.Image.filled(64, 48, :bgr24, :red)
       iex> {:ok, small} = Situ.Imaging.resize(image, 32, 24)
@@ -15,11 +15,11 @@ defmodule Situ.Imaging do
 
   | subject | functions | details |
   |---|---|---|
-  | place | `crop` `resize` `scale` `letterbox` `flip` `rotate` `warp_affine` `warp_perspective` `paste` | `Situ.Imaging.Geometry` |
+  | geometry | `crop` `resize` `scale` `letterbox` `flip` `rotate` `warp_affine` `warp_perspective` `paste` | `Situ.Imaging.Geometry` |
   | pixels | `convert` `invert` `threshold` `extract_channel` `absdiff` `convolve` `pseudo_colorize` | `Situ.Imaging.Pixels` |
   | neighbourhoods | `blur` `box_blur` `median_blur` `canny` `sobel` `erode` `dilate` `open` `close` `equalize` | `Situ.Imaging.Filter` |
   | drawing | `draw` `draw_line` `draw_rectangle` `draw_circle` `draw_text` `draw_detections` `text_size` ... | `Situ.Imaging.Drawing` |
-  | numbers | `statistics` `average_color` `histogram` `compare` `to_f32` | `Situ.Imaging.Measure` |
+  | measurements | `statistics` `average_color` `histogram` `compare` `to_f32` | `Situ.Imaging.Measure` |
   | files | `read` `write` `parse` `encode_jpeg` `encode_png` `decode_depth` `from_raw` `from_yuv` | `Situ.Imaging.Files` |
   """
   alias Situ.Imaging.{Drawing, Files, Filter, Geometry, Measure, Pixels}
@@ -94,7 +94,7 @@ defmodule Situ.Imaging do
   for {name, arity} <- Module.definitions_in(__MODULE__, :def), name in @twins do
     args = Macro.generate_arguments(arity, __MODULE__)
 
-    @doc "As `#{name}/#{arity}`, but returns the value or raises the `Situ.Error`."
+    @doc "Calls `#{name}/#{arity}` and returns the value or raises the `Situ.Error`."
     @spec unquote(:"#{name}!")(unquote_splicing(List.duplicate(quote(do: term()), arity))) ::
             term()
     def unquote(:"#{name}!")(unquote_splicing(args)),

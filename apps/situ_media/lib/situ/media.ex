@@ -1,6 +1,6 @@
 defmodule Situ.Media do
   @moduledoc """
-  Pictures and sound, wherever they come from.
+  Images and audio from files, devices and the network.
 
       def build(p, opts) do
         clip = Situ.Media.open(p, opts[:source])          # "talk1.mp4", "/dev/video0", "rtsp://...", "simulated:talk1.mp4"
@@ -15,19 +15,19 @@ defmodule Situ.Media do
   | `Situ.Media.Camera`, `Situ.Media.Microphone` | devices | `Situ.Media.Speaker` | devices |
   | `Situ.Media.LiveStream` | the network, simulated devices | | |
 
-  The guide "Files and devices" shows them at work.
+  The guide "Files and devices" has examples.
   """
   alias Situ.Media.{Camera, Device, LiveStream, Microphone, VideoFile}
 
   @doc """
-  Opens a source of pictures and sound by its name, so that a pipeline can be tried with a file and run with a camera.
+  Opens a source of images and audio by name, so that a pipeline can be tested with a file and run with a camera.
 
     * a file: `Situ.Media.VideoFile` (at the file's own times);
-    * a URL, a simulated device: `Situ.Media.LiveStream`;
+    * a URL or a simulated device: `Situ.Media.LiveStream`;
     * a camera: `Situ.Media.Camera`, with the microphone `microphone:` (default `\"pulse:default\"`, `nil` for none).
 
-  `size:` and `format:` are those of the pictures, `audio_format:` and `audio_buffer:` those of the sound. Returns
-  `%{video: stream | nil, audio: stream | nil}`; raises `Situ.Error` when there is no such source.
+  `size:` and `format:` apply to the images, `audio_format:` and `audio_buffer:` to the audio. Returns
+  `%{video: stream | nil, audio: stream | nil}`. Raises `Situ.Error` if the source does not exist.
   """
   @spec open(Situ.Pipeline.t(), String.t(), keyword()) :: %{
           video: Situ.Stream.t() | nil,
@@ -36,7 +36,7 @@ defmodule Situ.Media do
   def open(p, source, opts \\ []) when is_binary(source) do
     {microphone, opts} = Keyword.pop(opts, :microphone, "pulse:default")
 
-    # A file may have any name; one that is there is what is meant.
+    # A file may have any name, so an existing file takes precedence.
     if File.exists?(source) and not String.starts_with?(source, "/dev/"),
       do: VideoFile.open(p, source, opts),
       else: device(p, source, microphone, opts)
@@ -54,7 +54,7 @@ defmodule Situ.Media do
         Map.merge(%{video: nil, audio: nil}, LiveStream.open(p, [device: source] ++ opts))
 
       {:error, _} ->
-        # Neither a device nor a file: the file's error says more.
+        # The name is not a device and not an existing file. The error of the file is the more helpful one.
         VideoFile.open(p, source, opts)
     end
   end

@@ -1,9 +1,10 @@
 defmodule Situ.Sound do
   @moduledoc """
-  Operations on sound: resample, mix, convert channels and sample types, measure the level.
+  Operations on audio buffers: resample, mix, convert channels and sample types, and measure the level.
 
-  Every function takes a `Situ.AudioBuffer` first and returns `{:ok, result}` or `{:error, %Situ.Error{}}`; the twin
-  with `!` returns the result or raises. The same on streams is `Situ.Audio`, with the same names and options.
+  Every function takes a `Situ.AudioBuffer` first and returns `{:ok, result}` or `{:error, %Situ.Error{}}`. The variant
+  with `!` returns the result or raises. `Situ.Audio` has the same operations for streams, with the same names and
+  options.
 
       iex> stereo = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(48_000, 2), 480)
       iex> stereo |> Situ.Sound.reformat!(channels: 1, sample: :f32) |> Situ.Sound.resample!(16_000)
@@ -13,7 +14,7 @@ defmodule Situ.Sound do
   alias Situ.Sound.Channels
 
   @doc """
-  At another rate, the whole buffer at once; `quality:` as in `Situ.Audio.Resampler`.
+  Resamples a complete buffer to another rate. For `quality:`, see `Situ.Audio.Resampler`.
 
       iex> buffer = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(48_000), 480)
       iex> Situ.Sound.resample!(buffer, 16_000) |> Situ.AudioBuffer.frames()
@@ -37,7 +38,7 @@ defmodule Situ.Sound do
     args = Macro.generate_arguments(arity, __MODULE__)
     types = List.duplicate(quote(do: term()), arity)
 
-    @doc "As `#{name}/#{arity}`, but returns the value or raises the `Situ.Error`."
+    @doc "Calls `#{name}/#{arity}` and returns the value or raises the `Situ.Error`."
     @spec unquote(:"#{name}!")(unquote_splicing(types)) :: term()
     def unquote(:"#{name}!")(unquote_splicing(args)),
       do: Situ.Error.unwrap!(unquote(name)(unquote_splicing(args)))

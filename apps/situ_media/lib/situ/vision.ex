@@ -1,7 +1,7 @@
 defmodule Situ.Vision do
   @moduledoc """
-  Streams of pictures: every function takes a stream of `Situ.Image` first and returns a stream. The same on one picture
-  in hand is in `Situ.Imaging`, with the same name and options; originating times are kept.
+  Operators on image streams. Every function takes a stream of `Situ.Image` first and returns a stream. `Situ.Imaging`
+  has the same operations for single images, with the same names and options. Originating times do not change.
 
       def build(p, _opts) do
         camera = Situ.Media.Camera.open(p, size: {1280, 720})
@@ -13,9 +13,9 @@ defmodule Situ.Vision do
         |> Situ.Vision.encode_jpeg(quality: 80)
       end
 
-  A straight run of these is one process: only the last picture travels. All take the common options `name:`, `policy:`,
-  `async:` and `on_error:` besides their own; a picture that an operator cannot work on (a crop outside of it, a wrong
-  format) raises the operator's `Situ.Error` inside the component, so `on_error: :skip` passes over it.
+  A chain of these operators runs in one process, and only the last image is sent on. All operators also take the common
+  options `name:`, `policy:`, `async:` and `on_error:`. If an operator cannot process an image (a crop outside it, an
+  invalid format), it raises its `Situ.Error` inside the component, so `on_error: :skip` skips the image.
 
       iex> image = Situ.Image.filled(4, 2, :bgr24, [0, 0, 255])
       iex> Situ.to_list(fn p ->
@@ -27,7 +27,7 @@ defmodule Situ.Vision do
   alias Situ.{DepthImage, EncodedImage, Error, Image, Operator, Stream}
   alias Situ.Imaging.{Drawing, Files, Filter, Geometry, Measure, Pixels}
 
-  # Each row: function, its arguments after the picture, the module it is in, the type that comes out.
+  # Each row has the function, its arguments after the image, its module, and the output type.
   @operators [
     {:resize, [:width, :height], Geometry, Image},
     {:scale, [:sx, :sy], Geometry, Image},
@@ -53,7 +53,7 @@ defmodule Situ.Vision do
     {:decode_depth, [], Files, DepthImage}
   ]
 
-  # Functions without options of their own.
+  # Functions without options.
   @plain [
     {:flip, [:axis], Geometry},
     {:convert, [:format], Pixels},
@@ -76,7 +76,7 @@ defmodule Situ.Vision do
     vars = Enum.map(args, &Macro.var(&1, __MODULE__))
     label = name |> Atom.to_string() |> String.replace("_", " ") |> String.capitalize()
 
-    @doc "Each picture through `Situ.Imaging.#{name}/#{length(args) + 2}`."
+    @doc "Applies `Situ.Imaging.#{name}/#{length(args) + 2}` to each image."
     @spec unquote(name)(
             unquote_splicing([
               quote(do: Stream.t()) | Enum.map(args, fn _ -> quote(do: term()) end)
@@ -95,7 +95,7 @@ defmodule Situ.Vision do
     vars = Enum.map(args, &Macro.var(&1, __MODULE__))
     label = name |> Atom.to_string() |> String.replace("_", " ") |> String.capitalize()
 
-    @doc "Each picture through `Situ.Imaging.#{name}/#{length(args) + 1}`."
+    @doc "Applies `Situ.Imaging.#{name}/#{length(args) + 1}` to each image."
     @spec unquote(name)(
             unquote_splicing([
               quote(do: Stream.t()) | Enum.map(args, fn _ -> quote(do: term()) end)
@@ -110,9 +110,9 @@ defmodule Situ.Vision do
   end
 
   @doc """
-  The part inside `rect`: one rectangle for all, or a stream of pictures with their rectangles, `{image, rect | nil}`,
-  when `rect` is `:paired` (join pictures and rectangles first). `nil` for no rectangle, or one that leaves nothing
-  with `clip: true`; so the type is `{:optional, Situ.Image}`, or that of depth images for a stream of them.
+  Crops each image to `rect`. With `:paired`, the stream must carry `{image, rect | nil}`, so join images and rectangles
+  first. The result is `nil` without a rectangle, or if nothing is left with `clip: true`. Therefore the output type is
+  `{:optional, Situ.Image}`, or `{:optional, Situ.DepthImage}` for a stream of depth images.
 
       iex> {image, rect} = {Situ.Image.filled(4, 4, :gray8), Situ.Rect.new!(1, 1, 2, 2)}
       iex> Situ.to_list(fn p -> p |> Situ.repeat({image, rect}, every: 10, count: 1) |> Situ.Vision.crop(:paired) end)
@@ -136,7 +136,7 @@ defmodule Situ.Vision do
   defp depth?(_type), do: false
 
   @doc """
-  `:gray16` pictures as depth images, without a copy; `semantics:` and `scale:` as in `Situ.DepthImage`.
+  Converts `:gray16` images to depth images without a copy. For `semantics:` and `scale:`, see `Situ.DepthImage`.
 
       iex> image = Situ.Image.filled(2, 1, :gray16, 1500)
       iex> Situ.to_list(fn p -> p |> Situ.repeat(image, every: 10, count: 1) |> Situ.Vision.to_depth(scale: 0.002) end)
@@ -149,12 +149,12 @@ defmodule Situ.Vision do
     Operator.attach(stream, "To depth", {:map, fun}, placed, DepthImage)
   end
 
-  @doc "Depth images as `:gray16` pictures, without a copy: for every operator on pictures."
+  @doc "Converts depth images to `:gray16` images without a copy, for operators that need an image."
   @spec to_gray16(Stream.t(), keyword()) :: Stream.t()
   def to_gray16(stream, opts \\ []),
     do: Operator.attach(stream, "To gray16", {:map, &DepthImage.to_gray16/1}, opts, Image)
 
-  @doc "JPEG or PNG (`Situ.EncodedImage` or binaries) as pictures: `Situ.Imaging.parse/2`."
+  @doc "Decodes JPEG or PNG (`Situ.EncodedImage` or binaries) to images (`Situ.Imaging.parse/2`)."
   @spec decode(Stream.t(), keyword()) :: Stream.t()
   def decode(stream, opts \\ []) do
     {placed, opts} = Placement.apart(opts, :operator)
@@ -163,7 +163,7 @@ defmodule Situ.Vision do
   end
 
   @doc """
-  |a - b| of each picture and the one before it (the first gives nothing): what moved.
+  Detects motion as |a - b| of each image and the previous one. The first image produces no output.
   """
   @spec motion(Stream.t(), keyword()) :: Stream.t()
   def motion(stream, opts \\ []) do
@@ -175,7 +175,7 @@ defmodule Situ.Vision do
     Operator.attach(stream, "Motion", {:step, step, nil}, opts, Image)
   end
 
-  @doc "|a - b| of two streams of pictures with the same times: `Situ.Imaging.absdiff/2`."
+  @doc "Computes |a - b| of two image streams with the same times (`Situ.Imaging.absdiff/2`)."
   @spec absdiff(Stream.t(), Stream.t(), keyword()) :: Stream.t()
   def absdiff(stream, other, opts \\ []) do
     stream
@@ -189,7 +189,7 @@ defmodule Situ.Vision do
   end
 
   @doc """
-  How alike the pictures of two streams with the same times are: a stream of maps, `Situ.Imaging.compare/3`.
+  Compares the images of two streams with the same times, as a stream of maps (`Situ.Imaging.compare/3`).
 
       iex> {a, b} = {Situ.Image.filled(2, 1, :gray8, 3), Situ.Image.filled(2, 1, :gray8, 5)}
       iex> once = [every: 10, count: 1]
@@ -203,7 +203,7 @@ defmodule Situ.Vision do
     stream |> Situ.join(other) |> Operator.attach("Compare", {:map, fun}, placed, :map)
   end
 
-  @doc "Boxes with labels on each picture of a stream of `{image, [Situ.Rect]}`."
+  @doc "Draws labeled boxes on each image of a stream of `{image, [Situ.Rect]}`."
   @spec draw_detections(Stream.t(), keyword()) :: Stream.t()
   def draw_detections(stream, opts \\ []) do
     {placed, opts} = Placement.apart(opts, :operator)
@@ -211,7 +211,7 @@ defmodule Situ.Vision do
     Operator.attach(stream, "Draw detections", {:map, fun}, placed, Image)
   end
 
-  @doc "Any function from picture to picture: `{:ok, image}`, `{:error, error}` or the picture itself."
+  @doc "Applies a function to each image. It returns `{:ok, image}`, `{:error, error}` or the image itself."
   @spec transform(Stream.t(), (Image.t() -> Image.t() | Image.result()), keyword()) :: Stream.t()
   def transform(stream, fun, opts \\ []) when is_function(fun, 1) do
     checked = fn image ->

@@ -2,17 +2,17 @@ defmodule Situ.Audio.Analyzer do
   @hz {:range, 0, 8_000_000}
   @schema [
     frame: [type: {:range, 0.0001, 10}, default: 0.025, doc: "Length of a frame, seconds."],
-    frame_rate: [type: {:range, 0.1, 10_000}, default: 100, doc: "Frames a second."],
+    frame_rate: [type: {:range, 0.1, 10_000}, default: 100, doc: "Frames per second."],
     dither: [
       type: {:range, 0, 1_000_000},
       default: 1.0,
-      doc: "Noise added, plus or minus this many units of a 16-bit sample; 0 for none."
+      doc: "Amplitude of the added noise, in units of a 16-bit sample; 0 for none."
     ],
-    start_hz: [type: @hz, default: 250, doc: "Low end of all bands."],
-    end_hz: [type: @hz, default: 7000, doc: "High end of the whole and the high band."],
-    low_end_hz: [type: @hz, default: 3000, doc: "High end of the low band."],
-    high_start_hz: [type: @hz, default: 2500, doc: "Low end of the high band."],
-    entropy_hz: [type: @hz, default: 2500, doc: "Width of the band of the entropy."],
+    start_hz: [type: @hz, default: 250, doc: "Lower limit of all bands."],
+    end_hz: [type: @hz, default: 7000, doc: "Upper limit of the full band and the high band."],
+    low_end_hz: [type: @hz, default: 3000, doc: "Upper limit of the low band."],
+    high_start_hz: [type: @hz, default: 2500, doc: "Lower limit of the high band."],
+    entropy_hz: [type: @hz, default: 2500, doc: "Width of the band for the entropy."],
     spectrum: [type: :boolean, default: false, doc: "Emit the Fourier transform."],
     power: [type: :boolean, default: false, doc: "Emit its squared magnitudes."],
     mel_bands: [type: {:integer, 0, 1024}, default: 0, doc: "Mel bands to emit; 0 for none."],
@@ -21,12 +21,12 @@ defmodule Situ.Audio.Analyzer do
       default: 0,
       doc: "Cepstral coefficients, at most `mel_bands`."
     ],
-    mel_low_hz: [type: @hz, default: 0, doc: "Low end of the mel bands."],
-    mel_high_hz: [type: {:optional, @hz}, default: nil, doc: "High end; `nil`: half the rate."]
+    mel_low_hz: [type: @hz, default: 0, doc: "Lower limit of the mel bands."],
+    mel_high_hz: [type: {:optional, @hz}, default: nil, doc: "Upper limit; `nil`: half the rate."]
   ]
 
   @moduledoc """
-  Acoustic features of overlapping frames (`Situ.Audio.features/2`): sound in, a stream for each feature out.
+  Extracts acoustic features from overlapping frames (`Situ.Audio.features/2`), with one output stream for each feature.
 
   | output | of each frame |
   |---|---|
@@ -41,12 +41,13 @@ defmodule Situ.Audio.Analyzer do
   | `:mfcc` | the first `mfcc` cepstral coefficients (orthonormal DCT-II of `:log_mel`) |
 
   Frames are `round(rate * frame)` samples, windowed by a periodic Hann window and padded to the next power of two for
-  the Fourier transform. The time of a frame is that of its last sample's end, exact to the sample. Of several
-  channels the first counts. Integer samples count as they are (8 bit: 0..255), floats as 16-bit numbers would.
+  the Fourier transform. The time of a frame is the end of its last sample, exact to the sample. If there are several
+  channels, only the first one is used. Integer samples are used unscaled (8 bit: 0..255), and floats are scaled to the
+  16-bit range.
 
-  All is as in \\\\psi, with its slips mended: silence and bins without power make no NaN of the entropy (silence has
-  0), the dither is seeded by the frame's number (so results do not depend on how the sound was cut), and the spectrum
-  is the textbook transform (\\\\psi's is its conjugate, packed in fours).
+  The definitions follow \\\\psi, with its errors fixed. Silence and bins without power do not make the entropy NaN
+  (silence has entropy 0). The dither is seeded by the frame number, so results do not depend on how the audio was
+  divided into buffers. The spectrum is the textbook transform (\\\\psi's is its conjugate, packed in fours).
 
   ## Options
 
@@ -85,7 +86,7 @@ defmodule Situ.Audio.Analyzer do
   @outputs [:log_energy, :zero_crossing_rate, :energy, :low_energy, :high_energy, :entropy] ++
              [:spectrum, :power, :log_mel, :mfcc]
 
-  @doc "An analyzer for sound of this format: windows, filters and transform worked out beforehand."
+  @doc "Builds an analyzer for a format, and computes its windows, filters and transform in advance."
   @spec new(AudioFormat.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def new(%AudioFormat{} = format, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
@@ -96,7 +97,7 @@ defmodule Situ.Audio.Analyzer do
     end
   end
 
-  # Round half up by + 0.5 and truncation, as the definition has it.
+  # Rounds half up by adding 0.5 and truncating, as the definition requires.
   defp config(format, opts) do
     %{
       rate: format.rate,
@@ -129,8 +130,8 @@ defmodule Situ.Audio.Analyzer do
   end
 
   @doc """
-  The features of every whole frame in a buffer, as maps with the outputs' names; `first` numbers the first frame
-  (seed of the dither).
+  Returns the features of every complete frame in a buffer, as maps keyed by output name. `first` is the number of the
+  first frame and seeds the dither.
 
       iex> buffer = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(16_000), 400)
       iex> {:ok, analyzer} = Situ.Audio.Analyzer.new(buffer.format, dither: 0)

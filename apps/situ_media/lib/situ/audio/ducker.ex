@@ -1,22 +1,23 @@
 defmodule Situ.Audio.Ducker do
   @schema [
-    by: [type: {:range, 0, 120}, default: 18.0, doc: "How much quieter, dB; 120: silent."],
-    fall: [type: :time_ns, default: 20_000_000, doc: "How long it takes to get quieter, ns."],
-    rise: [type: :time_ns, default: 250_000_000, doc: "How long it takes to come back, ns."],
+    by: [type: {:range, 0, 120}, default: 18.0, doc: "Attenuation, dB; 120: silent."],
+    fall: [type: :time_ns, default: 20_000_000, doc: "Time to lower the volume, ns."],
+    rise: [type: :time_ns, default: 250_000_000, doc: "Time to restore the volume, ns."],
     hold: [
       type: :time_ns,
       default: 150_000_000,
-      doc: "How long it stays quiet after that is over, ns: rooms go on sounding."
+      doc: "Time to stay quiet after the condition ends, ns, because rooms reverberate."
     ]
   ]
 
   @moduledoc """
-  Makes a sound quieter while something else is the case (`Situ.Audio.duck/3`): a microphone while the loudspeaker
-  speaks, music while somebody talks.
+  Lowers the volume of audio while a condition holds (`Situ.Audio.duck/3`), for example of a microphone while the
+  loudspeaker is speaking, or of music while somebody is talking.
 
-  Input `:in` is the sound, `:while` booleans, at least one for each change. A buffer goes by the last boolean at or
-  before its end that has come: live, one that comes late counts from then on; of recordings, all are there in time.
-  Nothing waits, and times and lengths stay as they are. The factor moves in straight lines, so that nothing clicks.
+  Input `:in` is the audio, and `:while` carries booleans, at least one for each change. Each buffer uses the last
+  boolean that has arrived at or before the end of the buffer. In live pipelines a late boolean takes effect when it
+  arrives; in recordings all of them arrive in time. The component delays nothing, and times and lengths do not change.
+  The factor changes linearly to avoid clicks.
 
   ## Options
 
@@ -58,10 +59,10 @@ defmodule Situ.Audio.Ducker do
   def handle_closed(:while, _time, _context, state),
     do: {[], %{state | quiet?: false, until: nil}}
 
-  # The stream that says when to be quiet may depend on this one's output, as an assistant's does: that does not keep
-  # it open.
+  # The `:while` stream may depend on the output of this component, as it does in an assistant, so an open `:while` must
+  # not keep the output open.
   def handle_closed(:in, _time, _context, state), do: {[{:close, :out}], state}
 
   @impl true
-  def describe(%{gain: gain}), do: if(gain < 1.0, do: "quieter", else: "as it is")
+  def describe(%{gain: gain}), do: if(gain < 1.0, do: "quieter", else: "unchanged")
 end

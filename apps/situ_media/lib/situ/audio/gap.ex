@@ -1,14 +1,14 @@
 defmodule Situ.Audio.Gap do
   @moduledoc false
-  # Silence where times leave a gap, but only as much as a gap can be: a clock that is set while a device runs makes
-  # times jump by decades, and the silence would take all memory.
+  # Fills gaps between timestamps with silence, up to a limit. If a clock is set while a device is running, times can
+  # jump by decades, and that much silence would take all memory.
 
   alias Situ.{AudioBuffer, AudioFormat, Error}
 
   # 2 h 20 min of 16 kHz speech, 23 min of 48 kHz stereo.
   @max_bytes 268_435_456
 
-  @doc "Raises when so many frames are too much for a gap."
+  @doc "Raises `Situ.Error` if a gap of `frames` frames is too long to fill."
   @spec check!(AudioFormat.t(), integer()) :: :ok
   def check!(format, frames) do
     if frames * AudioFormat.bytes_per_frame(format) > @max_bytes,
@@ -16,7 +16,7 @@ defmodule Situ.Audio.Gap do
       else: :ok
   end
 
-  @doc "Silence for a gap."
+  @doc "Builds the silence that fills a gap of `frames` frames."
   @spec silence!(AudioFormat.t(), non_neg_integer()) :: AudioBuffer.t()
   def silence!(format, frames) do
     check!(format, frames)
@@ -26,9 +26,9 @@ defmodule Situ.Audio.Gap do
   defp too_long(format, frames) do
     gap = Situ.Time.format_duration(AudioFormat.frames_to_ns(format, frames))
 
-    Error.new(:gap_too_long, "the times of the sound jump by #{gap}",
-      why: "the silence in between would take more than #{div(@max_bytes, 1_048_576)} MiB",
-      fix: "end one stream and start another where the clock was set or the device was away"
+    Error.new(:gap_too_long, "the timestamps of the audio jump by #{gap}",
+      why: "the silence to fill this gap would take more than #{div(@max_bytes, 1_048_576)} MiB",
+      fix: "start a new stream after the clock was set or the device was disconnected"
     )
   end
 end

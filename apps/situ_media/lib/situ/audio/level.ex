@@ -1,8 +1,8 @@
 defmodule Situ.Audio.Level do
   @moduledoc """
-  How loud a piece of sound is. `peak` and `rms` are fractions of full scale (the loudest channel's peak, the mean power
-  of all), `peak_db` and `rms_db` the same in decibels below full scale, at least -120.0; `channels` has `{peak, rms}`
-  of each.
+  The level of a buffer of audio. `peak` and `rms` are fractions of full scale (the peak of the loudest channel, and the
+  mean power of all channels). `peak_db` and `rms_db` are the same in decibels below full scale, at least -120.0.
+  `channels` has `{peak, rms}` for each channel.
 
       iex> Situ.Audio.Level.new([{1.0, 0.5}]).peak_db
       0.0
@@ -20,7 +20,7 @@ defmodule Situ.Audio.Level do
 
   @floor_db -120.0
 
-  @doc "From the peak and root mean square of each channel."
+  @doc "Builds a level from the peak and root mean square of each channel."
   @spec new([{float(), float()}, ...]) :: t()
   def new(channels) do
     peak = channels |> Enum.map(&elem(&1, 0)) |> Enum.max()
@@ -29,7 +29,7 @@ defmodule Situ.Audio.Level do
     %__MODULE__{peak: peak, rms: rms, peak_db: db(peak), rms_db: db(rms), channels: channels}
   end
 
-  @doc "Decibels of a fraction of full scale."
+  @doc "Converts a fraction of full scale to decibels."
   @spec db(float()) :: float()
   def db(value) when value <= 1.0e-6, do: @floor_db
   def db(value), do: 20 * :math.log10(value)

@@ -1,15 +1,16 @@
 defmodule Situ.Audio.Mixer do
   @schema [
     gain: [type: :number, default: 1.0, doc: "Factor of the first input."],
-    other_gain: [type: :number, default: 1.0, doc: "Factor of the other."]
+    other_gain: [type: :number, default: 1.0, doc: "Factor of the second input."]
   ]
 
   @moduledoc """
-  Two sounds as one (`Situ.Audio.mix/3`), laid over each other by their times, sample by sample.
+  Mixes two audio streams sample by sample, aligned by their times (`Situ.Audio.mix/3`).
 
-  Both need the same format. A gap in one is silence in the mix; after one has closed the other goes on alone. Where an
-  input overlaps itself (times that go back), what came first stays. Buffers come out as far as both are known. A gap
-  in both whose silence would take more than 256 MiB (hours of speech) is the error `:gap_too_long`: a clock was set.
+  Both inputs need the same format. A gap in an input is silent in the mix, and after an input has closed, the other
+  continues alone. Where an input overlaps itself (its times go back), the audio that arrived first is kept. Buffers are
+  emitted up to the time that both inputs have reached. A gap in both inputs whose silence would take more than 256 MiB
+  (hours of speech) is the error `:gap_too_long`, because it means that a clock was set.
 
   ## Options
 
@@ -53,11 +54,11 @@ defmodule Situ.Audio.Mixer do
 
   defp settle(%{format: format}, buffer, _time) do
     raise Error.new(:bad_audio, "cannot mix #{inspect(buffer.format)} into #{inspect(format)}",
-            fix: "resample and reformat one of them first"
+            fix: "resample or reformat an input first"
           )
   end
 
-  # Only what lies behind the track's end so far is new.
+  # Only the frames after the current end of the track are new.
   defp follow(track, first, buffer) do
     count = AudioBuffer.frames(buffer)
     from = max(first, track.known || first)
@@ -68,7 +69,7 @@ defmodule Situ.Audio.Mixer do
 
   defp frame_at(state, time), do: AudioFormat.ns_to_frames(state.format, time - state.origin)
 
-  # Emits up to where both tracks are known.
+  # Emits the mix up to the frame that both tracks have reached.
   defp release(state) do
     stop = ready(state.in, state.other)
     state = %{state | cursor: state.cursor || (stop && beginning(state))}
@@ -78,7 +79,7 @@ defmodule Situ.Audio.Mixer do
       else: {[], state}
   end
 
-  # Which input's first buffer arrives first says nothing about which begins first.
+  # The input whose buffer arrives first is not always the input that begins first.
   defp beginning(state) do
     firsts = for input <- [:in, :other], {first, _} <- state[input].waiting, do: first
     Enum.min(firsts, fn -> 0 end)
@@ -104,7 +105,7 @@ defmodule Situ.Audio.Mixer do
     {:out, state.origin + AudioFormat.frames_to_ns(state.format, stop), sum}
   end
 
-  # A track from `cursor` on, with silence where nothing is.
+  # Returns the samples of a track from `cursor` to `stop`, with silence in its gaps.
   defp between(waiting, cursor, stop, format) do
     {data, _end} =
       waiting

@@ -8,15 +8,15 @@ defmodule Situ.Audio.NoiseGate do
     close: [
       type: {:optional, {:range, -120, 0}},
       default: nil,
-      doc: "It closes below this one; `nil`: 6 dB lower."
+      doc: "The gate closes below this level; `nil`: 6 dB below `open:`."
     ],
     hold: [
       type: :time_ns,
       default: 150_000_000,
-      doc: "How long it stays open below that, ns."
+      doc: "Time the gate stays open below `close:`, ns."
     ],
-    attack: [type: :time_ns, default: 5_000_000, doc: "How long opening takes, ns."],
-    release: [type: :time_ns, default: 100_000_000, doc: "How long closing takes, ns."],
+    attack: [type: :time_ns, default: 5_000_000, doc: "Time to open, ns."],
+    release: [type: :time_ns, default: 100_000_000, doc: "Time to close, ns."],
     floor: [
       type: {:range, -120, 0},
       default: -120.0,
@@ -25,10 +25,10 @@ defmodule Situ.Audio.NoiseGate do
   ]
 
   @moduledoc """
-  Passes sound that is louder than the noise, and little or nothing of the rest (`Situ.Audio.noise_gate/2`).
+  Passes audio that is louder than the noise, and attenuates or mutes the rest (`Situ.Audio.noise_gate/2`).
 
-  Two levels keep it from flickering, and the factor moves in straight lines, so that nothing clicks. It decides once
-  per buffer: give it buffers of 10 ms, as the operator does. Times and lengths stay as they are.
+  Two levels prevent flickering, and the factor changes linearly to avoid clicks. The gate decides once per buffer, so
+  buffers should be 10 ms long; the operator ensures this. Times and lengths do not change.
 
   ## Options
 
@@ -50,8 +50,8 @@ defmodule Situ.Audio.NoiseGate do
     if opts.close > opts.open,
       do:
         {:error,
-         Error.new(:bad_option, "the gate would close above the level at which it opens",
-           fix: "give close: of #{opts.open} dB or less"
+         Error.new(:bad_option, "option close: must not be above open:",
+           fix: "set close: to #{opts.open} dB or less"
          )},
       else: {:ok, %{opts: opts, floor: factor(opts.floor), gain: factor(opts.floor), held: 0}}
   end
@@ -68,7 +68,7 @@ defmodule Situ.Audio.NoiseGate do
     {[{:out, time, Ramp.apply(buffer, state.gain, gain)}], %{state | gain: gain}}
   end
 
-  # `held`: for how long it stays open from here on.
+  # `held` is the remaining time for which the gate stays open.
   defp decide(%{held: held, opts: opts} = state, level, length) do
     cond do
       level >= opts.open or (held > 0 and level >= opts.close) ->

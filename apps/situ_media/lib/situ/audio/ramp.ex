@@ -1,7 +1,7 @@
 defmodule Situ.Audio.Ramp do
   @moduledoc """
-  A factor that goes from one value to another within a buffer, a straight line over its frames: how operators change
-  loudness without clicks. Pure.
+  Changes a gain linearly from one value to another over the frames of a buffer, so that operators can change the volume
+  without clicks. Pure.
 
       iex> buffer = Situ.AudioBuffer.from_samples([100, 100, 100, 100], Situ.AudioFormat.pcm())
       iex> Situ.Audio.Ramp.apply(buffer, 0.0, 1.0) |> Situ.AudioBuffer.to_samples()
@@ -9,7 +9,9 @@ defmodule Situ.Audio.Ramp do
   """
   alias Situ.{AudioBuffer, Sound}
 
-  @doc "The buffer times the factor, which is `to` at the last frame and was `from` at the one before the first."
+  @doc """
+  Multiplies the buffer by a factor that reaches `to` at its last frame and was `from` one frame before its first.
+  """
   @spec apply(AudioBuffer.t(), float(), float()) :: AudioBuffer.t()
   def apply(buffer, from, to) when from == 1.0 and to == 1.0, do: buffer
   def apply(buffer, same, same), do: Sound.gain!(buffer, same)
@@ -31,8 +33,8 @@ defmodule Situ.Audio.Ramp do
   defp scale(sample, factor), do: sample * factor
 
   @doc """
-  A factor on its way to `target`: it changes by no more than 1 in `rise` ns upwards, `fall` ns downwards, so by
-  `duration` of that at once.
+  Moves a factor toward `target` for `duration` ns. The factor changes by at most 1 in `rise` ns upwards or `fall` ns
+  downwards.
 
       iex> Situ.Audio.Ramp.toward(0.0, 1.0, 5, 20, 40)
       0.25

@@ -1,32 +1,34 @@
 defmodule Situ.Audio.Reframer do
   @schema [
-    frames: [type: {:optional, :pos_integer}, default: nil, doc: "Frames of each buffer; or"],
+    frames: [type: {:optional, :pos_integer}, default: nil, doc: "Frames of each buffer, or:"],
     duration: [
       type: {:optional, {:integer, 1, 0x7FFFFFFFFFFFFFFF}},
       default: nil,
-      doc: "Its duration, ns, rounded up to whole frames."
+      doc: "Duration of each buffer, ns, rounded up to complete frames."
     ],
     hop: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "Frames from one buffer to the next: less makes them overlap. Default: no overlap."
+      doc:
+        "Frames from the start of one buffer to the next; smaller values make buffers overlap. Default: no overlap."
     ],
     tail: [
       type: {:in, [:drop, :keep, :pad]},
       default: :drop,
       doc:
-        "Fewer frames than asked for at the end: drop them, keep them as a shorter piece, or " <>
-          "pad them with silence."
+        "Handling of an incomplete buffer at the end: drop it, keep it as a shorter buffer, or " <>
+          "pad it with silence."
     ]
   ]
 
   @moduledoc """
-  Cuts sound into buffers of an exact size, whatever the size it comes in (`Situ.Audio.reframe/2`).
+  Cuts audio into buffers of an exact size, whatever the size of the input buffers (`Situ.Audio.reframe/2`).
 
-  The time of each is the input's time less what follows it in that input, so exact to the sample. Where that would
-  not be later than the buffer before (inputs whose times do not agree with their lengths), it is 1 ns later. When the
-  format changes, what is left of the old one goes as `tail:` says; the time of that last buffer is when its sound
-  ends, without the silence that fills it up.
+  The time of an output buffer is the time of the input buffer minus the duration of the audio that remains after the
+  cut, so it is exact to the sample. If this time would not be later than the previous buffer (because input times do
+  not agree with input lengths), the buffer is stamped 1 ns after the previous one. When the format changes, the rest of
+  the old format is handled as `tail:` says. The time of that last buffer is the end of its audio, without the silence
+  that pads it.
 
   ## Options
 
@@ -57,7 +59,7 @@ defmodule Situ.Audio.Reframer do
     {flushed, state} = follow(state, buffer.format)
     data = if state.rest == "", do: buffer.data, else: state.rest <> buffer.data
     {actions, rest, last} = cut(data, time, state, [])
-    # A small remainder must not keep a large buffer alive.
+    # Copies the rest, so that a small remainder does not keep a large buffer alive.
     {flushed ++ actions, %{state | rest: :binary.copy(rest), last: last, seen: time}}
   end
 
@@ -90,7 +92,8 @@ defmodule Situ.Audio.Reframer do
     out = %AudioBuffer{format: state.format, data: binary_part(data, 0, size)}
     skip = min(hop, byte_size(data))
     rest = binary_part(data, skip, byte_size(data) - skip)
-    # A hop beyond the frame skips what has not come yet: not offered, hop is at most the size.
+
+    # A hop larger than the size would have to skip frames that have not arrived yet; it only skips the present ones.
     cut(rest, time, %{state | last: at}, [{:out, at, out} | actions])
   end
 
@@ -99,7 +102,7 @@ defmodule Situ.Audio.Reframer do
   defp finish(%{rest: ""} = state), do: {[], state}
 
   defp finish(%{opts: opts, rest: rest} = state) do
-    # The silence that fills it up would end after the input has, where nothing may be emitted.
+    # The padding would end after the input closed, and nothing may be emitted after that time.
     time = later(state.seen, state.last)
 
     case opts[:tail] do

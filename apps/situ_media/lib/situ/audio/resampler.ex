@@ -3,28 +3,29 @@ defmodule Situ.Audio.Resampler do
     rate: [
       type: {:integer, 1, 16_000_000},
       required: true,
-      doc: "Frames a second of the result; 1000 times more or less than the input's at most."
+      doc: "Frames per second of the result, at most 1000 times more or less than the input."
     ],
     quality: [
       type: {:in, [:quick, :low, :medium, :high, :very_high]},
       default: :high,
-      doc: "libsoxr's recipes: cubic, 16 bit with a larger roll-off, 16, 20 and 28 bit."
+      doc: "The libsoxr recipe: cubic, 16 bit with a larger roll-off, 16, 20 or 28 bit."
     ]
   ]
 
   @moduledoc """
-  Sample rate conversion by libsoxr, in pieces, with times exact to the sample.
+  Converts the sample rate with libsoxr, chunk by chunk, with times exact to the sample.
 
-  As a component: sound in, sound out (`Situ.Audio.resample/3`). The filter is linear phase and its delay is accounted
-  for: frame `k` of the result lies `k / rate` after the first frame that came in, and an output buffer's time is the
-  input's time less what is still inside the filter. The rest inside comes out when the input closes. Sample type
-  and channels stay; when the input's format changes on the way, the filter is flushed and starts again.
+  As a component (`Situ.Audio.resample/3`), it takes and emits audio. The filter has linear phase, and its delay is
+  compensated: frame `k` of the result is `k / rate` after the first input frame. The time of an output buffer is the
+  input time minus the duration that is still inside the filter. The rest is emitted when the input closes. The sample
+  type and channels do not change. When the input format changes, the filter is flushed and restarted.
 
   ## Options
 
   #{Situ.Options.docs(@schema)}
 
-  As functions, for sound that is not in a pipeline (the filter is memory outside of the term: feed each one once):
+  As functions, it works outside a pipeline (the filter is native memory outside the term, so feed each filter value
+  only once):
 
       iex> format = Situ.AudioFormat.pcm(48_000)
       iex> {:ok, filter} = Situ.Audio.Resampler.new(format, rate: 16_000)
@@ -45,7 +46,7 @@ defmodule Situ.Audio.Resampler do
   @enforce_keys [:native, :from, :work, :to]
   defstruct [:native, :from, :work, :to]
 
-  @typedoc "`from` and `to` are the formats outside, `work` the sample type inside."
+  @typedoc "`from` and `to` are the external formats, and `work` is the format inside the filter."
   @type t :: %__MODULE__{
           native: reference(),
           from: AudioFormat.t(),
@@ -53,7 +54,7 @@ defmodule Situ.Audio.Resampler do
           to: AudioFormat.t()
         }
 
-  @doc "A filter from `format` to the same at another rate."
+  @doc "Builds a filter that converts `format` to another rate."
   @spec new(AudioFormat.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def new(%AudioFormat{} = format, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
@@ -68,17 +69,17 @@ defmodule Situ.Audio.Resampler do
     end
   end
 
-  # Types libsoxr does not know travel in the next larger one.
+  # Sample types that libsoxr does not support are converted to the next larger one.
   defp working(:u8), do: :s16
   defp working(:s24), do: :s32
   defp working(sample), do: sample
 
-  @doc "Feeds a buffer of the filter's format; the answer is what is ready, possibly nothing."
+  @doc "Feeds a buffer in the filter's format and returns the audio that is ready, which may be empty."
   @spec feed(t(), AudioBuffer.t()) :: AudioBuffer.result()
   def feed(%__MODULE__{from: from} = filter, %AudioBuffer{format: from} = buffer),
     do: process(filter, buffer, false)
 
-  @doc "The sound left inside the filter, which cannot be used after this."
+  @doc "Returns the audio left inside the filter, which cannot be used after this."
   @spec flush(t()) :: AudioBuffer.result()
   def flush(%__MODULE__{} = filter),
     do: process(filter, %AudioBuffer{format: filter.from, data: ""}, true)
@@ -93,14 +94,14 @@ defmodule Situ.Audio.Resampler do
     end
   end
 
-  # 10 s of 48 kHz take 1.6 ms: 3 ns a sample of the higher rate. At the end the filter is pushed through: it is as
-  # long as the rate falls.
+  # 10 s of 48 kHz take 1.6 ms, which is 3 ns per sample of the higher rate. Flushing pushes the rest through the
+  # filter, whose length grows with the ratio of the rates.
   defp cost(%{from: from, to: to}, buffer, last?) do
     pushed = if last?, do: 20 * from.channels * max(from.rate / to.rate, 1), else: 5
     Channels.cost(buffer) * max(to.rate / from.rate, 1) + pushed
   end
 
-  @doc "A whole buffer at once: `Situ.Sound.resample/3`."
+  @doc "Resamples a complete buffer in one call (`Situ.Sound.resample/3`)."
   @spec whole(AudioBuffer.t(), pos_integer(), keyword()) :: AudioBuffer.result()
   def whole(%AudioBuffer{format: %{rate: rate}} = buffer, rate, _opts),
     do: AudioBuffer.validate(buffer)
@@ -133,7 +134,7 @@ defmodule Situ.Audio.Resampler do
   @impl true
   def handle_closed(:in, _time, _context, state), do: drain(state)
 
-  # Starts a filter for the format, after the old one has given what it had.
+  # Starts a filter for the format after draining the old one.
   defp follow(%{filter: %{from: format}} = state, format), do: {[], state}
 
   defp follow(%{opts: opts} = state, format) do

@@ -3,27 +3,27 @@ defmodule Situ.Audio.Streamline do
     method: [
       type: {:in, [:concatenate, :pleat, :unpleat]},
       default: :unpleat,
-      doc: "How: see above."
+      doc: "Method, see above."
     ],
     max_offset: [
       type: :time_ns,
       default: 0,
       doc:
-        "`:unpleat`: how far the times may drift from the input's before they are put right, ns."
+        "`:unpleat`: maximum drift of the times from the input's before they are corrected, ns."
     ]
   ]
 
   @moduledoc """
-  Makes sound with gaps, overlaps or shaky times contiguous (`Situ.Audio.streamline/2`).
+  Makes audio with gaps, overlaps or timing jitter contiguous (`Situ.Audio.streamline/2`).
 
-    * `:concatenate`: nothing is changed but the times, which run on from the first buffer's as if there were no gaps;
-    * `:pleat`: each buffer is padded with silence or cut at its end to fill exactly the time since the one before;
-      times stay;
-    * `:unpleat`: times run on; when they have drifted from the input's by more than `max_offset`, silence goes in
-      before the buffer (it came late) or its beginning is cut off (it came early).
+    * `:concatenate`: only the times change; they continue from the first buffer, ignoring gaps.
+    * `:pleat`: each buffer is padded with silence or cut at its end to fill exactly the time since the previous one,
+      and times do not change.
+    * `:unpleat`: times are continuous. When they have drifted from the input times by more than `max_offset`, silence
+      is inserted before a late buffer, or the beginning of an early buffer is cut off.
 
-  A gap whose silence would take more than 256 MiB (hours of speech) is the error `:gap_too_long`: a clock was set. A
-  change of the format on the way is an error, too.
+  A gap whose silence would take more than 256 MiB (hours of speech) is the error `:gap_too_long`, because it means that
+  a clock was set. A change of format is an error, too.
 
   ## Options
 
@@ -47,7 +47,7 @@ defmodule Situ.Audio.Streamline do
     emit(fitted, time, state)
   end
 
-  # Frames are counted from the start of the first buffer, so that rounding does not add up.
+  # Counts frames from the start of the first buffer, so that rounding errors do not accumulate.
   defp settle(%{format: nil} = state, buffer, time),
     do: %{state | format: buffer.format, origin: AudioBuffer.start_time(buffer, time)}
 
@@ -56,8 +56,8 @@ defmodule Situ.Audio.Streamline do
   defp settle(%{format: format}, buffer, _time) do
     raise Error.new(
             :bad_audio,
-            "the sound was #{inspect(format)} and is #{inspect(buffer.format)}",
-            why: "streamlining counts the frames of one format",
+            "the audio format changed from #{inspect(format)} to #{inspect(buffer.format)}",
+            why: "streamline counts frames in one format",
             fix: "resample or reformat the stream first"
           )
   end

@@ -1,13 +1,13 @@
 defmodule Situ.Imaging.Argument do
   @moduledoc false
-  # Numbers from callers on their way to a kernel: floats of a size that means something, or an error that says which.
+  # Validates numbers from callers before they are passed to a kernel, and returns errors that name the argument.
 
   alias Situ.Error
 
-  # Beyond any picture, and far from where floats lose whole numbers.
+  # Larger than any image, and far below the limit where floats lose integer precision.
   @most 1.0e12
 
-  @doc "The values as floats, in order; `what` names them."
+  @doc "Converts the values to floats, in order. `what` names them in errors."
   @spec floats([term()], String.t()) :: {:ok, [float()]} | {:error, Error.t()}
   def floats(values, what) do
     case Enum.find(values, &(not (is_number(&1) and &1 <= @most and &1 >= -@most))) do
@@ -16,18 +16,18 @@ defmodule Situ.Imaging.Argument do
     end
   end
 
-  @doc "The value when it is a whole number of `range`."
+  @doc "Returns the value if it is an integer in `range`."
   @spec integer(term(), Range.t(), String.t()) :: {:ok, integer()} | {:error, Error.t()}
   def integer(value, range, what) do
     if is_integer(value) and value in range,
       do: {:ok, value},
-      else: bad("#{what} must be a whole number of #{inspect(range)}, got: #{shown(value)}")
+      else: bad("#{what} must be an integer in #{inspect(range)}, got: #{shown(value)}")
   end
 
-  @doc "The error `:bad_option`."
+  @doc "Builds the error `:bad_option`."
   @spec bad(String.t()) :: {:error, Error.t()}
   def bad(text), do: {:error, Error.new(:bad_option, text)}
 
-  # A number of a thousand digits helps nobody.
+  # Limits the length, since a number with a thousand digits would make the error unreadable.
   defp shown(value), do: inspect(value, limit: 5, printable_limit: 40) |> String.slice(0, 60)
 end

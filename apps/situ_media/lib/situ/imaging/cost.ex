@@ -1,19 +1,19 @@
 defmodule Situ.Imaging.Cost do
   @moduledoc false
-  # How long work on a picture will take, in microseconds, by the bytes to read and write. Long work runs on a dirty
-  # scheduler; if the bytes give no estimate, the work counts as long.
+  # Estimates how long an operation on an image takes, in microseconds, from the bytes to read and write. Long jobs run
+  # on a dirty scheduler, and a job without an estimate counts as long.
 
   alias Situ.Image
   alias Situ.Image.Format
 
   @unknown 100_000.0
 
-  @doc "Decoding a JPEG, by the size in its header. Progressive ones may take any number of times longer."
+  @doc "Estimates decoding a JPEG from the size in its header. Progressive files have no estimate."
   @spec jpeg(binary()) :: float()
   def jpeg(<<0xFF, 0xD8, rest::binary>>), do: segment(rest)
   def jpeg(_), do: @unknown
 
-  # Frames: baseline and sequential ones first.
+  # Only baseline and sequential frames have an estimate.
   defp segment(<<0xFF, marker, _::16, _, height::16, width::16, _::binary>>)
        when marker in [0xC0, 0xC1],
        do: width * height / 150
@@ -30,7 +30,7 @@ defmodule Situ.Imaging.Cost do
 
   defp segment(_), do: @unknown
 
-  @doc "Resizing: filters that look at all pixels covered read the whole picture."
+  @doc "Estimates resizing. Filters that use all covered pixels read the complete image."
   @spec resize(Image.t(), pos_integer(), pos_integer(), atom()) :: float()
   def resize(image, width, height, filter) do
     bytes = Format.bytes_per_pixel(image.format)

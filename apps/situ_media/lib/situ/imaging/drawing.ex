@@ -1,32 +1,32 @@
 defmodule Situ.Imaging.Drawing do
   @moduledoc """
-  Lines, rectangles, circles and text on a copy of a picture. Call them through `Situ.Imaging`; `draw/2` takes many
-  shapes and copies the picture once.
+  Draws lines, rectangles, circles and text on a copy of an image. Call these functions through `Situ.Imaging`. `draw/2`
+  draws several shapes and copies the image once.
 
   | shape | drawn | options |
   |---|---|---|
-  | `{:line, {x, y}, {x, y}, opts}` | from, to, both included | `color:`, `width:` |
+  | `{:line, {x, y}, {x, y}, opts}` | a line, both ends included | `color:`, `width:` |
   | `{:rectangle, rect, opts}` | `Situ.Rect` or `{x, y, width, height}`; the outline on its outermost pixels | `color:`, `width:` |
   | `{:fill_rectangle, rect, opts}` | its inside | `color:` |
   | `{:circle, {x, y}, radius, opts}` | outline centred on its edge | `color:`, `width:` |
   | `{:fill_circle, {x, y}, radius, opts}` | a disc, as large as the outline of width 1 | `color:` |
   | `{:text, {x, y}, string, opts}` | top left corner of the first line's capitals | `color:`, `size:`, `font:`, `background:` |
 
-  `{x, y}` is the middle of a pixel. `color:` is a `Situ.Image.Color` (default `:red`), `width:` that of lines in
-  pixels (1 or more, default 1). Lines, circles and text are anti-aliased: straight lines of odd width have sharp
-  edges, of even width the two outer rows have half of the colour. Rectangles lie on whole pixels. Places may lie
-  outside of the picture, up to 1,000,000 pixels; what does is cut off.
+  `{x, y}` is the center of a pixel. `color:` is a `Situ.Image.Color` (default `:red`), and `width:` is the line width
+  in pixels (1 or more, default 1). Lines, circles and text are anti-aliased: straight lines of odd width have sharp
+  edges, and of even width have half the color in the two outer rows. Rectangles are aligned to complete pixels.
+  Positions may be outside the image by up to 1,000,000 pixels; parts outside the image are clipped.
 
-  Text is any Unicode text (marks, ligatures, right to left), in lines separated by `\\n`, anti-aliased:
+  Text may be any Unicode text (with marks, ligatures and right-to-left scripts), in lines separated by `\\n`:
 
-    * `size:` height of a capital in pixels, 1 to 2000 (default 16)
-    * `font:` the path of a TrueType or OpenType file, or several: a character is taken from the first that has it.
-      DejaVu Sans, which is part of Situ and the default, has those that they lack: Latin, Greek, Cyrillic, Hebrew,
-      Arabic and more, but no Chinese, Japanese or Korean. A character that no font has is drawn as a box. A file
-      that is no font is the error `:bad_font`.
-    * `background:` colour of a box behind the text, 2 pixels larger on each side (default none)
+    * `size:` height of a capital letter in pixels, 1 to 2000 (default 16)
+    * `font:` the path of a TrueType or OpenType file, or a list of paths. Each character uses the first font that
+      covers it. DejaVu Sans, which is included in Situ and is the default, is the fallback; it covers Latin, Greek,
+      Cyrillic, Hebrew, Arabic and more, but not Chinese, Japanese or Korean. Characters that no font covers are drawn
+      as a box. A file that is not a font is the error `:bad_font`.
+    * `background:` color of a box under the text, 2 pixels larger on each side (default none)
 
-  Colour fonts (emoji) have no outlines to draw: only those in one colour work.
+  Color fonts (emoji) have no outlines to draw, so only monochrome fonts work.
   """
   alias Situ.{Image, Point2, Rect}
   alias Situ.Image.Color
@@ -37,7 +37,7 @@ defmodule Situ.Imaging.Drawing do
   @type rect :: Rect.t() | {number(), number(), number(), number()}
 
   @doc """
-  Several shapes at once, in order.
+  Draws several shapes in order.
 
       iex> image = Situ.Image.filled(5, 5, :gray8)
       iex> {:ok, drawn} = Situ.Imaging.draw(image, [{:fill_rectangle, {1, 1, 3, 3}, color: 9}])
@@ -54,12 +54,12 @@ defmodule Situ.Imaging.Drawing do
 
   defp cost(image, terms) do
     texts = Enum.count(terms, &(elem(&1, 0) == :text))
-    # A line across 1080p takes 10 us, a disc over all of it 10 ms.
+    # A line across a 1080p image takes 10 us, and a disc that covers it 10 ms.
     byte_size(image.data) / 8000 + 20 * length(terms) + Text.cost_us() * texts
   end
 
   @doc """
-  A line from point to point.
+  Draws a line between two points.
 
       iex> Situ.Imaging.draw_line!(Situ.Image.filled(5, 3, :gray8), {1, 1}, {3, 1}, color: 9).data
       <<0, 0, 0, 0, 0, 0, 9, 9, 9, 0, 0, 0, 0, 0, 0>>
@@ -68,7 +68,7 @@ defmodule Situ.Imaging.Drawing do
   def draw_line(image, from, to, opts \\ []), do: draw(image, [{:line, from, to, opts}])
 
   @doc """
-  The outline of a rectangle.
+  Draws the outline of a rectangle.
 
       iex> Situ.Imaging.draw_rectangle!(Situ.Image.filled(4, 3, :gray8), {0, 0, 3, 3}, color: 9).data
       <<9, 9, 9, 0, 9, 0, 9, 0, 9, 9, 9, 0>>
@@ -77,7 +77,7 @@ defmodule Situ.Imaging.Drawing do
   def draw_rectangle(image, rect, opts \\ []), do: draw(image, [{:rectangle, rect, opts}])
 
   @doc """
-  A filled rectangle.
+  Fills a rectangle.
 
       iex> Situ.Imaging.fill_rectangle!(Situ.Image.filled(4, 3, :gray8), {1, 1, 2, 2}, color: 9).data
       <<0, 0, 0, 0, 0, 9, 9, 0, 0, 9, 9, 0>>
@@ -86,7 +86,7 @@ defmodule Situ.Imaging.Drawing do
   def fill_rectangle(image, rect, opts \\ []), do: draw(image, [{:fill_rectangle, rect, opts}])
 
   @doc """
-  The outline of a circle.
+  Draws the outline of a circle.
 
       iex> {:ok, image} = Situ.Imaging.draw_circle(Situ.Image.filled(21, 21, :gray8), {10, 10}, 8, color: 200, width: 3)
       iex> for x <- [10, 18], do: Situ.Image.fetch_pixel(image, x, 10)
@@ -97,7 +97,7 @@ defmodule Situ.Imaging.Drawing do
     do: draw(image, [{:circle, center, radius, opts}])
 
   @doc """
-  A disc.
+  Fills a circle.
 
       iex> {:ok, image} = Situ.Imaging.fill_circle(Situ.Image.filled(21, 21, :gray8), {10, 10}, 8, color: 200)
       iex> for x <- [10, 20], do: Situ.Image.fetch_pixel(image, x, 10)
@@ -108,7 +108,7 @@ defmodule Situ.Imaging.Drawing do
     do: draw(image, [{:fill_circle, center, radius, opts}])
 
   @doc """
-  Text with the top left corner of its capitals at a point.
+  Draws text with the top left corner of its capital letters at a point.
 
       iex> paper = Situ.Image.filled(90, 30, :gray8)
       iex> {:ok, image} = Situ.Imaging.draw_text(paper, {4, 6}, "Ωmega, ça", size: 14, color: :white)
@@ -120,8 +120,8 @@ defmodule Situ.Imaging.Drawing do
   def draw_text(image, at, text, opts \\ []), do: draw(image, [{:text, at, text, opts}])
 
   @doc """
-  Width and height of text in pixels, to place it: the widest line, and from the top of the first line's capitals to the
-  foot of the last line. Options `size:` and `font:` as for drawing.
+  Returns the width and height of text in pixels: the width of the widest line, and the height from the top of the first
+  line's capital letters to the bottom of the last line. Takes the drawing options `size:` and `font:`.
 
       iex> {:ok, {width, height}} = Situ.Imaging.text_size("three\\nlines\\nof text", size: 20)
       iex> {width > 60 and width < 110, height > 80 and height < 100}
@@ -131,8 +131,8 @@ defmodule Situ.Imaging.Drawing do
   def text_size(text, opts \\ []), do: Text.measure(text, opts)
 
   @doc """
-  Boxes with label and score above them, each label in a colour of its own: what detectors answer. Options: `width:` of
-  the lines (2), `size:` and `font:` of the labels (14, the default font).
+  Draws boxes for detections, with label and score above them and a separate color for each label. Options: `width:` of
+  the lines (2), and `size:` and `font:` of the labels (14, the default font).
 
       iex> face = Situ.Rect.new!(x: 30, y: 30, width: 20, height: 20, label: "Zoë", score: 0.9)
       iex> {:ok, image} = Situ.Imaging.draw_detections(Situ.Image.filled(80, 60, :bgr24), [face])
@@ -161,7 +161,7 @@ defmodule Situ.Imaging.Drawing do
     score = if rect.score, do: :erlang.float_to_binary(rect.score * 1.0, decimals: 2)
     label = [rect.label, score] |> Enum.reject(&is_nil/1) |> Enum.join(" ")
     box = {:rectangle, rect, color: color, width: opts[:width]}
-    # The label's foot stands on the box.
+    # Aligns the bottom of the label with the top of the box.
     at = {rect.x + 2, max(rect.y - 1.35 * opts[:size] - 3, 2)}
 
     text =
@@ -211,7 +211,7 @@ defmodule Situ.Imaging.Drawing do
   defp radius(radius) when is_number(radius) and radius >= 0, do: radius * 1.0
 
   defp radius(other),
-    do: raise(ArgumentError, "a radius is 0 or more, got: #{inspect(other)}")
+    do: raise(ArgumentError, "radius must be 0 or more, got: #{inspect(other)}")
 
   defp point(%Point2{x: x, y: y}), do: {x * 1.0, y * 1.0}
   defp point({x, y}), do: {x * 1.0, y * 1.0}

@@ -1,8 +1,8 @@
 defmodule Situ.Imaging.Files do
   @moduledoc """
-  Pictures as JPEG, PNG and raw bytes. Call them through `Situ.Imaging`.
+  Reads and writes images as JPEG, PNG and raw bytes. Call these functions through `Situ.Imaging`.
 
-  A decoder allocates the size in a header only if the bytes could hold such a picture, and never more than
+  A decoder allocates the size given in a header only if the bytes could hold such an image, and never more than
   `Situ.Image.max_bytes/0`.
   """
   alias Situ.{DepthImage, EncodedImage, Error, Image}
@@ -14,14 +14,14 @@ defmodule Situ.Imaging.Files do
     subsampling: [
       type: {:in, [:full, :half, :quarter]},
       default: :quarter,
-      doc: "Colour resolution: 4:4:4, 4:2:2 or 4:2:0."
+      doc: "Color resolution: 4:4:4, 4:2:2 or 4:2:0."
     ]
   ]
 
   @levels [fast: 0, balanced: 1, small: 2]
 
   @doc """
-  Compressed as JPEG (libjpeg-turbo). 8-bit formats; alpha is dropped.
+  Encodes an image in an 8-bit format as JPEG (libjpeg-turbo), without its alpha channel.
 
   #{Situ.Options.docs(@jpeg)}
 
@@ -43,8 +43,8 @@ defmodule Situ.Imaging.Files do
   end
 
   @doc """
-  Compressed as PNG, without loss, 8 or 16 bit; `level:` `:fast`, `:balanced` (default) or `:small`.
-  `:bgrx32` loses its unused channel.
+  Encodes an image as lossless PNG with 8 or 16 bits. `level:` is `:fast`, `:balanced` (default) or `:small`. The unused
+  channel of `:bgrx32` is dropped.
 
       iex> image = Situ.Image.filled(3, 2, :gray16, 1234)
       iex> {:ok, png} = Situ.Imaging.encode_png(image)
@@ -68,11 +68,11 @@ defmodule Situ.Imaging.Files do
   end
 
   @doc """
-  A picture from JPEG or PNG bytes (`Situ.EncodedImage` or a binary).
+  Decodes JPEG or PNG bytes (`Situ.EncodedImage` or a binary).
 
-  JPEG answers `:bgr24` or `:gray8` as the file has it, or `format:` (any 8-bit format); PNG answers `:gray8`,
-  `:gray16`, `:rgb24`, `:rgba32` or `:rgba64` as the file has it, converted when `format:` is given. A truncated or
-  broken file is an error: `:bad_jpeg`, `:bad_png`.
+  A JPEG is decoded to `:bgr24` or `:gray8`, depending on the file, or to `format:` (any 8-bit format). A PNG is decoded
+  to `:gray8`, `:gray16`, `:rgb24`, `:rgba32` or `:rgba64`, depending on the file, and converted if `format:` is given.
+  A truncated or corrupt file is the error `:bad_jpeg` or `:bad_png`.
 
       iex> {:error, error} = Situ.Imaging.parse(<<0xFF, 0xD8, 0xFF, 0xE0, 0>>)
       iex> error.code
@@ -93,7 +93,7 @@ defmodule Situ.Imaging.Files do
   end
 
   defp decode_png(bytes, wanted) do
-    # How much work a PNG is its length does not tell: dirty unless it is tiny.
+    # The length of a PNG does not predict its decoding time, so only tiny ones avoid a dirty scheduler.
     cost = if byte_size(bytes) < 512, do: 1, else: 1000
 
     with {:ok, image} <- Kernel.picture({:png_decode, bytes}, cost) do
@@ -101,14 +101,16 @@ defmodule Situ.Imaging.Files do
     end
   end
 
-  @doc "A depth image from a 16-bit grey PNG; `semantics:` and `scale:` as in `Situ.DepthImage`."
+  @doc """
+  Decodes a depth image from a 16-bit grayscale PNG. For `semantics:` and `scale:`, see `Situ.DepthImage`.
+  """
   @spec decode_depth(EncodedImage.t() | binary(), keyword()) :: DepthImage.result()
   def decode_depth(encoded, opts \\ []) do
     with {:ok, image} <- parse(encoded), do: DepthImage.from_gray16(image, opts)
   end
 
   @doc """
-  Reads a `.jpg` or `.png` file (by its bytes, not its name).
+  Reads a JPEG or PNG file. The format is detected from the content, not the file name.
 
       iex> {:error, error} = Situ.Imaging.read("no/such/file.png")
       iex> error.code
@@ -126,7 +128,7 @@ defmodule Situ.Imaging.Files do
     end
   end
 
-  @doc "Writes a file, compressed as its name ends: `.jpg`, `.jpeg` or `.png`; options of the encoder."
+  @doc "Writes an image file in the format of the extension `.jpg`, `.jpeg` or `.png`, with options of the encoder."
   @spec write(Image.t(), Path.t(), keyword()) :: :ok | {:error, Error.t()}
   def write(%Image{} = image, path, opts \\ []) do
     with {:ok, encoded} <- encode_as(image, path |> Path.extname() |> String.downcase(), opts) do
@@ -148,13 +150,15 @@ defmodule Situ.Imaging.Files do
 
   defp encode_as(_image, extension, _opts) do
     {:error,
-     Error.new(:unknown_image_format, "cannot write a picture as #{inspect(extension)}",
+     Error.new(
+       :unknown_image_format,
+       "cannot write an image with the extension #{inspect(extension)}",
        fix: "name the file .jpg or .png"
      )}
   end
 
   @doc """
-  A picture from raw pixels without gaps: `width * height` pixels of `format`, exactly.
+  Builds an image from raw pixels without padding: exactly `width * height` pixels of `format`.
 
       iex> {:ok, image} = Situ.Imaging.from_raw(<<1, 2, 3, 4>>, 2, 2, :gray8)
       iex> image.stride
@@ -176,8 +180,8 @@ defmodule Situ.Imaging.Files do
   end
 
   @doc """
-  A `:bgr24` picture from a camera's or decoder's raw frame: `:nv12`, `:i420` (both sides even) or `:yuyv` (even width),
-  BT.601 with luma 16..235, rows without gaps.
+  Converts a raw frame from a camera or decoder to a `:bgr24` image. The layout is `:nv12` or `:i420` (both sides even),
+  or `:yuyv` (even width), in BT.601 with luma 16..235 and rows without padding.
 
       iex> {:ok, image} = Situ.Imaging.from_yuv(<<235, 128, 16, 128>>, 2, 1, :yuyv)
       iex> image.data

@@ -1,13 +1,14 @@
 defmodule Situ.Imaging.Filter do
   @moduledoc """
-  Filters by OpenCV: blurs, edges, morphology, histogram equalisation. Call them through `Situ.Imaging`.
+  OpenCV filters: blurs, edges, morphology and histogram equalization. Call these functions through `Situ.Imaging`.
   """
   alias Situ.Image
   alias Situ.Imaging.Argument
   alias Situ.Media.Kernel
 
   @doc """
-  Gaussian blur. `size` is the odd side of the window; `nil` takes 3 standard deviations to each side (sigma 1.4: 9).
+  Applies a Gaussian blur. `size` is the odd side of the window; `nil` covers 3 standard deviations on each side
+  (sigma 1.4: 9).
 
       iex> Situ.Imaging.blur!(Situ.Image.filled(8, 8, :gray8, 100), 1.4) |> Situ.Image.fetch_pixel(4, 4)
       {:ok, [100]}
@@ -18,7 +19,7 @@ defmodule Situ.Imaging.Filter do
 
     with {:ok, [sigma]} <- Argument.floats([sigma], "sigma"),
          {:ok, size} <- window(opts[:size], sigma) do
-      # A window many times as large as the picture would only take longer.
+      # A window much larger than the image would take longer without changing the result.
       run(image, {:gaussian, image, size, sigma}, size / 9)
     end
   end
@@ -33,7 +34,7 @@ defmodule Situ.Imaging.Filter do
   defp window(size, _sigma), do: Argument.integer(size, 1..@widest, "size")
 
   @doc """
-  Mean of a `size` x `size` window, `size` odd.
+  Replaces each pixel by the mean of a `size` x `size` window, `size` odd.
 
       iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
       iex> Situ.Imaging.box_blur!(dot, 3).data
@@ -43,7 +44,7 @@ defmodule Situ.Imaging.Filter do
   def box_blur(%Image{} = image, size), do: run(image, {:box_blur, image, size}, 0.6)
 
   @doc """
-  Median of a `size` x `size` window, `size` odd; above 5 only for 8-bit formats.
+  Replaces each pixel by the median of a `size` x `size` window, `size` odd. Sizes above 5 need an 8-bit format.
 
       iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
       iex> Situ.Imaging.median_blur!(dot, 3).data
@@ -53,7 +54,7 @@ defmodule Situ.Imaging.Filter do
   def median_blur(%Image{} = image, size), do: run(image, {:median_blur, image, size}, 3)
 
   @doc """
-  Canny edges of a `:gray8` picture: 255 on an edge, else 0; `low` and `high` are the hysteresis thresholds.
+  Detects Canny edges in a `:gray8` image: 255 on an edge, else 0. `low` and `high` are the hysteresis thresholds.
 
       iex> step = Situ.Imaging.fill_rectangle!(Situ.Image.filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
       iex> step |> Situ.Imaging.canny!(60, 120) |> Situ.Imaging.crop!({0, 4, 8, 1}) |> Situ.Image.pixels()
@@ -66,8 +67,8 @@ defmodule Situ.Imaging.Filter do
   end
 
   @doc """
-  Strength of edges of a `:gray8` picture: the mean of the two absolute Sobel 3x3 derivatives, each of which is cut off
-  at 255 before (as OpenCV's `convertScaleAbs` and `addWeighted` do it in 8 bits).
+  Computes the edge strength of a `:gray8` image as the mean of the two absolute Sobel 3x3 derivatives. Each derivative
+  is clipped at 255 first (as with OpenCV's `convertScaleAbs` and `addWeighted` in 8 bits).
 
       iex> step = Situ.Imaging.fill_rectangle!(Situ.Image.filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
       iex> step |> Situ.Imaging.sobel!() |> Situ.Imaging.crop!({0, 4, 8, 1}) |> Situ.Image.pixels()
@@ -77,7 +78,7 @@ defmodule Situ.Imaging.Filter do
   def sobel(%Image{} = image), do: run(image, {:sobel, image}, 2)
 
   @doc """
-  Minimum in a `size` x `size` window, `size` odd.
+  Replaces each pixel by the minimum of a `size` x `size` window, `size` odd.
 
       iex> hole = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<90, 90, 0, 90, 90>>)
       iex> Situ.Imaging.erode!(hole, 3).data
@@ -87,7 +88,7 @@ defmodule Situ.Imaging.Filter do
   def erode(%Image{} = image, size), do: morph(image, :erode, size)
 
   @doc """
-  Maximum in a `size` x `size` window, `size` odd.
+  Replaces each pixel by the maximum of a `size` x `size` window, `size` odd.
 
       iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
       iex> Situ.Imaging.dilate!(dot, 3).data
@@ -97,7 +98,7 @@ defmodule Situ.Imaging.Filter do
   def dilate(%Image{} = image, size), do: morph(image, :dilate, size)
 
   @doc """
-  Erode, then dilate: removes specks.
+  Erodes and then dilates the image, which removes specks.
 
       iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
       iex> Situ.Imaging.open!(dot, 3).data
@@ -107,7 +108,7 @@ defmodule Situ.Imaging.Filter do
   def open(%Image{} = image, size), do: morph(image, :open, size)
 
   @doc """
-  Dilate, then erode: fills holes.
+  Dilates and then erodes the image, which fills holes.
 
       iex> hole = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<90, 90, 0, 90, 90>>)
       iex> Situ.Imaging.close!(hole, 3).data
@@ -117,7 +118,7 @@ defmodule Situ.Imaging.Filter do
   def close(%Image{} = image, size), do: morph(image, :close, size)
 
   @doc """
-  A `:gray8` picture with its histogram flattened.
+  Equalizes the histogram of a `:gray8` image.
 
       iex> image = Situ.Image.new!(width: 4, height: 1, format: :gray8, data: <<10, 11, 12, 12>>)
       iex> Situ.Imaging.equalize!(image).data

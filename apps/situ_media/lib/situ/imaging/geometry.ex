@@ -1,6 +1,7 @@
 defmodule Situ.Imaging.Geometry do
   @moduledoc """
-  Where pixels go: crop, resize, letterbox, flip, rotate, warp, paste. Call them through `Situ.Imaging`.
+  Geometric operations: crop, resize, letterbox, flip, rotate, warp and paste. Call these functions through
+  `Situ.Imaging`.
   """
   alias Situ.{DepthImage, Error, Image, Rect}
   alias Situ.Image.{Color, Format}
@@ -11,16 +12,16 @@ defmodule Situ.Imaging.Geometry do
   @warp_filters [:nearest, :bilinear, :bicubic]
 
   @warp [
-    filter: [type: {:in, @warp_filters}, default: :bilinear, doc: "How to sample between pixels."],
+    filter: [type: {:in, @warp_filters}, default: :bilinear, doc: "Interpolation between pixels."],
     border: [
       type: {:in, [:constant, :replicate]},
       default: :constant,
-      doc: "Outside the source: `:color`, or its edge."
+      doc: "Value outside the source: `:color`, or the source's edge pixels."
     ],
     color: [
       type: :any,
       default: 0,
-      doc: "Channel values in memory order, or one for all, for what is not covered."
+      doc: "Channel values in memory order, or one value for all channels, for uncovered pixels."
     ]
   ]
 
@@ -28,10 +29,10 @@ defmodule Situ.Imaging.Geometry do
   def warp_schema, do: @warp
 
   @doc """
-  The part inside `rect` (a `Situ.Rect` or `{x, y, width, height}`; fractions are rounded to whole pixels).
+  Returns the part inside `rect` (a `Situ.Rect` or `{x, y, width, height}`; fractions are rounded to complete pixels).
 
-  A rectangle that does not lie inside the picture is an error; with `clip: true` it is cut to the picture first, and
-  `{:ok, nil}` says that nothing is left.
+  A rectangle that is not inside the image is an error. With `clip: true` it is clipped to the image first, and the
+  result is `{:ok, nil}` if nothing is left.
 
       iex> image = Situ.Image.new!(width: 3, height: 2, format: :gray8, data: <<1, 2, 3, 4, 5, 6>>)
       iex> {:ok, part} = Situ.Imaging.crop(image, {1, 0, 2, 2})
@@ -84,19 +85,19 @@ defmodule Situ.Imaging.Geometry do
     end
   end
 
-  # Both edges are rounded, so that neighbouring rectangles stay neighbours.
+  # Rounds both edges, so that adjacent rectangles stay adjacent.
   defp pixels(%Rect{x: x, y: y, width: w, height: h}) do
     {left, top} = {round(x), round(y)}
     {left, top, round(x + w) - left, round(y + h) - top}
   end
 
   @doc """
-  Resized to exactly `width` by `height` pixels, same format.
+  Resizes an image to exactly `width` by `height` pixels, in the same format.
 
-  `filter:` `:bilinear` (default; two by two pixels, what OpenCV calls INTER_LINEAR), `:nearest`, `:bicubic`, `:area`
-  (mean of the pixels covered), `:smooth` (bilinear over all pixels covered: shrinks without jagged edges), `:lanczos`.
-  Filters that overshoot (`:bicubic`, `:lanczos`) are cut off at 0 and 255 after each of their two passes, as Pillow
-  does it: at hard edges they differ from OpenCV, which cuts off once.
+  `filter:` is `:bilinear` (default; two by two pixels, OpenCV's INTER_LINEAR), `:nearest`, `:bicubic`, `:area`
+  (mean of the covered pixels), `:smooth` (bilinear over all covered pixels, which shrinks without jagged edges) or
+  `:lanczos`. Filters that overshoot (`:bicubic`, `:lanczos`) are clipped at 0 and 255 after each of their two passes,
+  as in Pillow. At hard edges they differ from OpenCV, which clips once.
 
       iex> {:ok, small} = Situ.Imaging.resize(Situ.Image.filled(64, 48, :bgr24, [1, 2, 3]), 32, 24)
       iex> {small, Situ.Image.fetch_pixel(small, 31, 23)}
@@ -112,7 +113,8 @@ defmodule Situ.Imaging.Geometry do
     end
   end
 
-  # OpenCV is the fastest at this one, up to its largest side; alpha has to be weighed, which it does not do.
+  # OpenCV is the fastest for bilinear resizing, up to its maximum side. It does not weight by alpha, so formats with
+  # alpha use another kernel.
   defp sized(%{format: format} = image, width, height, :bilinear)
        when format in [:gray8, :gray16, :bgr24, :rgb24, :bgrx32] and width <= 32_766 and
               height <= 32_766 and image.width <= 32_766 and image.height <= 32_766 do
@@ -133,7 +135,7 @@ defmodule Situ.Imaging.Geometry do
   end
 
   @doc """
-  Resized by factors; sizes are rounded to the nearest pixel, at least 1.
+  Resizes an image by factors. Sizes are rounded to the nearest pixel and are at least 1.
 
       iex> {:ok, image} = Situ.Imaging.scale(Situ.Image.filled(10, 10, :gray8), 0.5, 2)
       iex> {image.width, image.height}
@@ -149,8 +151,8 @@ defmodule Situ.Imaging.Geometry do
   end
 
   @doc """
-  Resized to the largest size of the same proportions that fits `width` by `height`, in the middle, the rest filled with
-  `color:` (default 0). `letterbox_rect/4` tells where it lands.
+  Resizes an image to the largest size of the same proportions that fits `width` by `height`, centered, and fills the
+  rest with `color:` (default 0). `letterbox_rect/4` returns its position.
 
       iex> {:ok, image} = Situ.Imaging.letterbox(Situ.Image.filled(4, 2, :gray8, 9), 4, 4)
       iex> image.data
@@ -170,7 +172,7 @@ defmodule Situ.Imaging.Geometry do
   end
 
   @doc """
-  Where a `from_width` x `from_height` picture lies in its `width` x `height` letterbox.
+  Returns the rectangle of a `from_width` x `from_height` image in its `width` x `height` letterbox.
 
       iex> Situ.Imaging.letterbox_rect(1280, 720, 640, 640)
       %Situ.Rect{x: 0, y: 140, width: 640, height: 360}
@@ -184,8 +186,8 @@ defmodule Situ.Imaging.Geometry do
   end
 
   @doc """
-  Mirrored: `:horizontal` along the horizontal axis (top becomes bottom), `:vertical` along the vertical axis (left
-  becomes right), or `:both`.
+  Mirrors an image: `:horizontal` along the horizontal axis (top becomes bottom), `:vertical` along the vertical axis
+  (left becomes right), or `:both`.
 
       iex> image = Situ.Image.new!(width: 2, height: 2, format: :gray8, data: <<1, 2, 3, 4>>)
       iex> for axis <- [:horizontal, :vertical, :both], do: Situ.Imaging.flip!(image, axis).data
@@ -198,11 +200,11 @@ defmodule Situ.Imaging.Geometry do
   end
 
   @doc """
-  Turned clockwise about its middle by `degrees`.
+  Rotates an image clockwise about its center by `degrees`.
 
-  Multiples of 90 are exact with `fit: :tight`. Otherwise pixels are interpolated (`filter:`, `color:`, `border:`) and
-  the result is as large as `fit:` says: `:tight` (default), the extent of the turned corners; `:loose`, a square of the
-  diagonal whatever the angle; `:same`, the source's size.
+  Multiples of 90 are exact with `fit: :tight`. For other angles pixels are interpolated (`filter:`, `color:`,
+  `border:`). `fit:` sets the size of the result: `:tight` (default) is the extent of the rotated corners, `:loose` is a
+  square with the side of the diagonal at any angle, and `:same` is the size of the source.
 
       iex> image = Situ.Image.filled(100, 200, :gray8)
       iex> {:ok, tight} = Situ.Imaging.rotate(image, 10)
@@ -230,7 +232,7 @@ defmodule Situ.Imaging.Geometry do
   defp turn(image, degrees, {width, height}, opts) do
     angle = degrees * :math.pi() / 180
     {cos, sin} = {:math.cos(angle), :math.sin(angle)}
-    # About the middles of the pixel grids; y points down, so this turns clockwise.
+    # Rotates about the centers of the pixel grids. y points down, so the rotation is clockwise.
     {cx, cy} = {(image.width - 1) / 2, (image.height - 1) / 2}
     {ox, oy} = {(width - 1) / 2, (height - 1) / 2}
 
@@ -249,13 +251,14 @@ defmodule Situ.Imaging.Geometry do
     angle = degrees * :math.pi() / 180
     {cos, sin} = {abs(:math.cos(angle)), abs(:math.sin(angle))}
     {w, h} = {image.width - 1, image.height - 1}
-    # The small number takes back what rounding took from whole extents.
+    # The small number compensates rounding errors of integer extents.
     {trunc(w * cos + h * sin + 1 + 1.0e-9), trunc(w * sin + h * cos + 1 + 1.0e-9)}
   end
 
   @doc """
-  Moved by a 2x3 matrix `[a, b, tx, c, d, ty]` that takes a source pixel `{x, y}` to `{a x + b y + tx, c x + d y + ty}`
-  (OpenCV's warpAffine). `width:` and `height:` of the result default to the source's.
+  Transforms an image by a 2x3 matrix `[a, b, tx, c, d, ty]` that maps a source pixel `{x, y}` to
+  `{a x + b y + tx, c x + d y + ty}` (OpenCV's warpAffine). `width:` and `height:` of the result default to the source's
+  size.
 
   #{Situ.Options.docs(@warp)}
 
@@ -268,7 +271,7 @@ defmodule Situ.Imaging.Geometry do
     do: warp(:warp_affine, image, matrix, opts)
 
   @doc """
-  As `warp_affine/3`, by a 3x3 matrix (nine numbers) in homogeneous coordinates.
+  Transforms an image like `warp_affine/3`, but by a 3x3 matrix (nine numbers) in homogeneous coordinates.
 
       iex> image = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<5, 7>>)
       iex> Situ.Imaging.warp_perspective!(image, [1, 0, 1, 0, 1, 0, 0, 0, 1]).data
@@ -293,8 +296,8 @@ defmodule Situ.Imaging.Geometry do
   end
 
   @doc """
-  `part` copied over `image` with its top left corner at `{x, y}`; what falls outside is cut off. Both have the same
-  format. With `mask:`, a `:gray8` picture of the size of `part`, only where the mask is not 0.
+  Copies `part` over `image` with its top left corner at `{x, y}` and clips parts outside the image. Both need the same
+  format. With `mask:`, a `:gray8` image of the size of `part`, only pixels where the mask is not 0 are copied.
 
       iex> image = Situ.Image.filled(3, 1, :gray8, 1)
       iex> {:ok, pasted} = Situ.Imaging.paste(image, Situ.Image.filled(2, 1, :gray8, 8), {2, 0})
@@ -324,14 +327,14 @@ defmodule Situ.Imaging.Geometry do
     end
   end
 
-  # Sizes that the native side could not even be told.
+  # The native side cannot represent other sizes.
   defp check_size(width, height) do
     if is_integer(width) and is_integer(height) and width in 1..0x7FFFFFFF and
          height in 1..0x7FFFFFFF do
       :ok
     else
-      what = "a picture cannot be #{inspect(width)}x#{inspect(height)}"
-      {:error, Error.new(:bad_size, what, fix: "give whole numbers of pixels, 1 or more")}
+      what = "invalid image size: #{inspect(width)}x#{inspect(height)}"
+      {:error, Error.new(:bad_size, what, fix: "use integers of 1 or more, in pixels")}
     end
   end
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Imaging.Measure do
   @moduledoc """
-  Numbers about pictures: statistics, histogram, comparison. Call them through `Situ.Imaging`.
+  Measurements of images: statistics, histograms and comparisons. Call these functions through `Situ.Imaging`.
   """
   alias Situ.{Error, Image, Rect}
   alias Situ.Image.Format
@@ -10,7 +10,8 @@ defmodule Situ.Imaging.Measure do
   @type channel :: %{min: integer(), max: integer(), mean: float(), deviation: float()}
 
   @doc """
-  Minimum, maximum, mean and standard deviation (of the population) of each channel, by name; of a part with `rect:`.
+  Returns the minimum, maximum, mean and standard deviation (of the population) of each channel, by name. `rect:`
+  restricts it to a part.
 
       iex> image = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<10, 20>>)
       iex> Situ.Imaging.statistics(image)
@@ -29,7 +30,7 @@ defmodule Situ.Imaging.Measure do
   end
 
   @doc """
-  The mean of each channel, by name; of a part with `rect:`.
+  Returns the mean of each channel, by name. `rect:` restricts it to a part.
 
       iex> Situ.Imaging.average_color(Situ.Image.filled(2, 2, :bgr24, [1, 2, 3]))
       {:ok, %{blue: 1.0, green: 2.0, red: 3.0}}
@@ -41,7 +42,8 @@ defmodule Situ.Imaging.Measure do
   end
 
   @doc """
-  How often each value occurs, 256 counts a channel (16-bit values by their high byte); of a part with `rect:`.
+  Counts how often each value occurs, with 256 counts per channel (16-bit values by their high byte). `rect:` restricts
+  it to a part.
 
       iex> {:ok, %{gray: counts}} = Situ.Imaging.histogram(Situ.Image.filled(2, 2, :gray8, 3))
       iex> Enum.take(counts, 5)
@@ -55,8 +57,9 @@ defmodule Situ.Imaging.Measure do
   end
 
   @doc """
-  Compares two pictures of the same size and format: largest and mean difference of channel values, and the fraction of
-  values off by more than `tolerance:` (default 0). `equal?` when that fraction is at most `outliers:` (default 0).
+  Compares two images of the same size and format. Returns the largest and mean difference of channel values, and the
+  fraction of values that differ by more than `tolerance:` (default 0). `equal?` is true if that fraction is at most
+  `outliers:` (default 0).
 
       iex> {a, b} = {Situ.Image.filled(2, 1, :gray8, 3), Situ.Image.filled(2, 1, :gray8, 5)}
       iex> Situ.Imaging.compare(a, b, tolerance: 2)
@@ -77,10 +80,10 @@ defmodule Situ.Imaging.Measure do
   end
 
   @doc """
-  The picture as 32-bit floats for a model: `value * scale + offset`, red first, alpha left out.
+  Converts an image to 32-bit floats for a model: `value * scale + offset`, red first, without alpha.
 
-  `layout:` `:nhwc` (default) or `:nchw`; `scale:` (default 1/255, 1/65535 for 16 bit); `offset:` (default 0.0). The
-  answer is a binary of native floats and its shape.
+  `layout:` is `:nhwc` (default) or `:nchw`, `scale:` defaults to 1/255 (1/65535 for 16 bit), and `offset:` to 0.0.
+  Returns a binary of native floats and its shape.
 
       iex> {:ok, {data, shape}} = Situ.Imaging.to_f32(Situ.Image.filled(1, 1, :bgr24, [0, 51, 255]))
       iex> {shape, for(<<v::float-native-32 <- data>>, do: Float.round(v, 3))}

@@ -1,7 +1,7 @@
 defmodule Situ.Imaging.Pixels do
   @moduledoc """
-  Operations on pixels: conversion, inversion, thresholds, differences, convolution, pseudo-colour. Call them through
-  `Situ.Imaging`.
+  Operations on pixels: conversion, inversion, thresholds, differences, convolution and pseudo-color. Call these
+  functions through `Situ.Imaging`.
   """
   alias Situ.{DepthImage, Error, Image}
   alias Situ.Image.Format
@@ -13,8 +13,8 @@ defmodule Situ.Imaging.Pixels do
   @thresholds [:binary, :binary_inverted, :truncate, :to_zero, :to_zero_inverted]
 
   @doc """
-  In another format. Grey is `(4897 R + 9617 G + 1868 B) >> 14`, so white becomes 254; 8 bits widen by `v * 257`, 16
-  bits narrow by `v >> 8`; a missing alpha is opaque.
+  Converts an image to another format. Gray is `(4897 R + 9617 G + 1868 B) >> 14`, so white becomes 254. 8 bits are
+  widened by `v * 257`, and 16 bits are narrowed by `v >> 8`. A missing alpha channel becomes opaque.
 
       iex> red = Situ.Image.filled(1, 1, :rgb24, [255, 0, 0])
       iex> for format <- [:gray8, :bgr24, :bgra32, :rgba64], do: Situ.Imaging.convert!(red, format).data
@@ -41,7 +41,7 @@ defmodule Situ.Imaging.Pixels do
   end
 
   @doc """
-  255 - v of every channel (65535 - v for 16 bit); alpha and unused channels are kept.
+  Inverts every channel to 255 - v (65535 - v for 16 bit). Alpha and unused channels are unchanged.
 
       iex> Situ.Imaging.invert!(Situ.Image.filled(1, 1, :bgra32, [0, 1, 255, 40])).data
       <<255, 254, 0, 40>>
@@ -50,7 +50,7 @@ defmodule Situ.Imaging.Pixels do
   def invert(%Image{} = image), do: simple({:invert, image})
 
   @doc """
-  Every channel (alpha too) against `threshold`:
+  Compares every channel (including alpha) with `threshold`:
   `:binary` v > t ? max : 0, `:binary_inverted` v > t ? 0 : max, `:truncate` v > t ? t : v, `:to_zero` v > t ? v : 0,
   `:to_zero_inverted` v > t ? 0 : v. `max` defaults to the format's largest value.
 
@@ -71,7 +71,7 @@ defmodule Situ.Imaging.Pixels do
   end
 
   @doc """
-  One channel as grey of the same depth, by its place in memory (0 is blue in `:bgr24`) or its name.
+  Extracts one channel as grayscale of the same depth, by its position in memory (0 is blue in `:bgr24`) or its name.
 
       iex> Situ.Imaging.extract_channel!(Situ.Image.filled(1, 1, :bgr24, [1, 2, 3]), :red).data
       <<3>>
@@ -92,7 +92,7 @@ defmodule Situ.Imaging.Pixels do
     do: simple({:extract_channel, image, index})
 
   @doc """
-  |a - b| of every channel of two pictures of the same size and format.
+  Computes |a - b| for every channel of two images of the same size and format.
 
       iex> {a, b} = {Situ.Image.filled(1, 1, :gray8, 3), Situ.Image.filled(1, 1, :gray8, 10)}
       iex> Situ.Imaging.absdiff!(a, b).data
@@ -104,8 +104,9 @@ defmodule Situ.Imaging.Pixels do
   end
 
   @doc """
-  Grey picture and a small kernel of integers (a list of rows, odd sizes have a middle): the sum over the taps inside
-  the picture, divided by **how many taps those are** (not by their sum), truncated, clipped. \\\\psi's rule.
+  Convolves a grayscale image with a small kernel of integers (a list of rows; kernels of odd size have a center). The
+  result is the sum over the taps inside the image, divided by the **number of these taps** (not by their sum),
+  truncated and clipped. This is \\\\psi's rule.
 
       iex> image = Situ.Image.new!(width: 3, height: 1, format: :gray8, data: <<10, 20, 40>>)
       iex> Situ.Imaging.convolve!(image, [[1, 1, 1]]).data
@@ -126,8 +127,8 @@ defmodule Situ.Imaging.Pixels do
   end
 
   @doc """
-  Depth as colour: `near` metres is blue, `far` is red, what lies outside or is `invalid:` (default 0) is black, or
-  transparent with `transparent: true`. The result is `:bgra32`.
+  Renders depth as color: `near` meters is blue and `far` is red. Pixels outside this range or equal to `invalid:`
+  (default 0) are black, or transparent with `transparent: true`. The result is `:bgra32`.
 
       iex> depth = Situ.DepthImage.new!(width: 3, height: 1, data: <<0::16, 500::little-16, 2000::little-16>>)
       iex> {:ok, colored} = Situ.Imaging.pseudo_colorize(depth, {0.5, 2.0})

@@ -1,6 +1,6 @@
 defmodule Situ.Imaging.Text do
   @moduledoc false
-  # Text as the native side takes it: checked, with the font files to look in.
+  # Validates text for the native side and adds the font files to search.
 
   alias Situ.{Error, Image}
   alias Situ.Image.Color
@@ -9,7 +9,8 @@ defmodule Situ.Imaging.Text do
   @drawn [color: :red, size: 16, font: nil, background: nil]
   @measured [size: 16, font: nil]
 
-  # Placing and drawing a character takes about 5 us; reading a font file the first time a millisecond: never inline.
+  # Laying out and drawing a character takes about 5 us, and reading a font file for the first time takes 1 ms, so text
+  # never runs inline.
   @cost_us 500
 
   @spec cost_us() :: pos_integer()
@@ -24,9 +25,9 @@ defmodule Situ.Imaging.Text do
   end
 
   def term(_at, other, _opts, _format),
-    do: raise(ArgumentError, "text to draw is a string, got: #{inspect(other)}")
+    do: raise(ArgumentError, "text to draw must be a string, got: #{inspect(other)}")
 
-  @doc "The native side takes UTF-8 only."
+  @doc "Checks that all text is UTF-8, which the native side requires."
   @spec check([tuple()]) :: :ok | {:error, Error.t()}
   def check(terms) do
     case Enum.find(terms, &(elem(&1, 0) == :text and not String.valid?(elem(&1, 4)))) do
@@ -53,11 +54,11 @@ defmodule Situ.Imaging.Text do
   defp size(opts) do
     case opts[:size] do
       size when is_number(size) -> size * 1.0
-      other -> raise ArgumentError, "size: is a number of pixels, got: #{inspect(other)}"
+      other -> raise ArgumentError, "size: must be a number of pixels, got: #{inspect(other)}"
     end
   end
 
-  # Characters that the fonts asked for lack come from the default one.
+  # The default font provides characters that the requested fonts do not cover.
   defp fonts(nil), do: [default_font()]
   defp fonts(path) when is_binary(path), do: [path, default_font()]
 
@@ -69,7 +70,7 @@ defmodule Situ.Imaging.Text do
   defp fonts(other), do: bad_font(other)
 
   defp bad_font(other) do
-    raise ArgumentError, "font: is a path or a list of paths, got: #{inspect(other)}"
+    raise ArgumentError, "font: must be a path or a list of paths, got: #{inspect(other)}"
   end
 
   defp default_font, do: Application.app_dir(:situ_media, "priv/fonts/DejaVuSans.ttf")

@@ -1,6 +1,6 @@
 defmodule Situ.Media.Application do
   @moduledoc false
-  # Keeps the processes that read media files opened as recordings; nothing else here lives longer than its owner.
+  # Supervises the processes that read media files opened as recordings. All other processes here end with their owners.
   use Application
 
   @impl true

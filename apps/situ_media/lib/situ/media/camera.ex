@@ -5,28 +5,28 @@ defmodule Situ.Media.Camera do
     device: [
       type: {:or, [:string, {:tuple, [:module, :string]}]},
       default: "v4l2:/dev/video0",
-      doc: "Which camera, see `Situ.Media.Device`."
+      doc: "The camera, see `Situ.Media.Device`."
     ],
     size: [
       type: {:optional, {:tuple, [:pos_integer, :pos_integer]}},
       default: {1280, 720},
-      doc: "`{width, height}`; `nil`: as the device gives them."
+      doc: "`{width, height}`; `nil`: the device's own size."
     ],
     rate: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "Pictures a second; `nil`: the device's own rate."
+      doc: "Images per second; `nil`: the device's own rate."
     ],
     format: [
       type: {:in, Situ.Image.Format.all()},
       default: :bgr24,
-      doc: "Pixel format of the pictures."
+      doc: "Pixel format of the images."
     ],
     input_format: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "The format a V4L2 camera should send: `\"mjpeg\"`, `\"yuyv422\"` ...; `nil`: its first."
+        "Format to request from a V4L2 camera: `\"mjpeg\"`, `\"yuyv422\"` ...; `nil`: the camera's first format."
     ],
     controls: [
       type: {:list, {:tuple, [:string, :integer]}},
@@ -37,31 +37,31 @@ defmodule Situ.Media.Camera do
     buffer: [
       type: :pos_integer,
       default: 2,
-      doc: "Pictures that may wait for a slow pipeline; then the oldest is dropped."
+      doc: "Number of images that may wait for a slow pipeline; beyond it the oldest is dropped."
     ],
     reconnect: [
       type: {:optional, :boolean},
       default: nil,
       doc:
-        "When the camera is lost while it runs, try again every second; `nil`: yes, unless it has an end (`?once`)."
+        "Retry every second if the camera is lost while running; `nil`: yes, unless the source has an end (`?once`)."
     ],
     stall_timeout: [
       type: :pos_integer,
       default: 10_000_000_000,
-      doc: "A camera that sends nothing for so long (ns) counts as lost."
+      doc: "Time without data (ns) after which the camera counts as lost."
     ],
-    args: [type: {:list, :string}, default: [], doc: "More input options for `ffmpeg`."]
+    args: [type: {:list, :string}, default: [], doc: "Additional input options for `ffmpeg`."]
   ]
 
   @moduledoc """
-  A camera as a source: pictures at the times they were taken.
+  A camera as a source of images, stamped with the times at which they were taken.
 
       camera = Situ.Media.Camera.open(p, device: "/dev/video0", size: {1280, 720}, rate: 30)
       camera = Situ.Media.Camera.open(p, device: "simulated:talk1.mp4")
 
-  The kinds of devices: `Situ.Media.Device`; `situ devices` lists the ones that are there. A camera cannot wait:
-  pictures that nobody takes in time are dropped, the oldest first, and counted (`Situ.Pipeline.info/1` shows how
-  many). A camera that is not there when the pipeline starts is an error; one that is lost later is tried again.
+  `Situ.Media.Device` lists the kinds of devices, and `situ devices` lists the available ones. A camera cannot wait:
+  images that the pipeline does not take in time are dropped, oldest first, and counted (`Situ.Pipeline.info/1` shows
+  the count). A camera that is missing when the pipeline starts is an error; a camera that is lost later is retried.
 
   ## Options
 
@@ -70,16 +70,17 @@ defmodule Situ.Media.Camera do
   use Situ.Component, outputs: [out: Situ.Image], options: @schema
   use Situ.Media.Capture
 
-  @doc "Adds the camera to a pipeline; returns its stream."
+  @doc "Adds the camera to a pipeline and returns its stream."
   @spec open(Situ.Pipeline.t(), keyword()) :: Situ.Stream.t()
   def open(p, opts \\ []), do: Situ.source(p, __MODULE__, Keyword.put_new(opts, :async, true))
 
-  @doc "The cameras there are."
+  @doc "Lists the available cameras."
   @spec list() :: [Device.t()]
   def list, do: Enum.filter(Device.list(), &(&1.kind == :camera))
 
   @doc """
-  The controls of a V4L2 camera: brightness, contrast, exposure, focus, white balance ...; empty for other devices.
+  Returns the controls of a V4L2 camera (brightness, contrast, exposure, focus, white balance, ...), or `[]` for other
+  devices.
 
       controls = Situ.Media.Camera.controls("/dev/video0")
       #=> [%{name: "brightness", type: "int", min: -64, max: 64, step: 1, default: 0, value: 0}, ...]

@@ -1,19 +1,19 @@
 defmodule Situ.Media.Capture do
   @moduledoc """
-  The common part of camera, microphone and network stream: a running capture, its clock, its reconnects. Pure except
-  for starting and stopping the reader; the components around it are thin.
+  The common part of camera, microphone and network stream: a running capture with its clock and reconnects. Pure except
+  for starting and stopping the reader; the components that use it are thin.
 
-  A device cannot wait. Up to a limit (`:buffer`) frames wait for the pipeline, then the oldest is dropped and
-  counted: memory stays bounded even if the pipeline is slow. A capture has a process to itself (`async: true`), so
-  that a slow operator does not keep it from dropping. When a device is lost (unplugged, stream ended) it is tried
-  again every second, if the options say so.
+  A device cannot wait. Up to `:buffer` frames wait for the pipeline; beyond that the oldest is dropped and counted, so
+  memory stays bounded even if the pipeline is slow. A capture runs in its own process (`async: true`), so that a slow
+  operator does not keep it from dropping frames. When a device is lost (unplugged, or its stream ended), it is retried
+  every second if the options allow it.
 
-  When a sender's clock jumps (the sender was restarted, or switched to another file), it is set to the pipeline's clock
-  again: the capture logs a warning and counts the jump, and later frames are stamped from the time of arrival. Each
-  stream of a sender has its own stall watch, which reports pictures that stop while the sound keeps coming.
+  When a sender's clock jumps (the sender was restarted, or switched to another file), it is synchronized with the
+  pipeline's clock again: the capture logs a warning and counts the jump, and later frames are stamped from the time of
+  arrival. Each stream of a sender has its own stall watch, which reports video that stops while audio keeps arriving.
 
-  `use Situ.Media.Capture`, after `use Situ.Component`, gives a component whose state is a capture everything but its
-  `init/1`.
+  `use Situ.Media.Capture`, after `use Situ.Component`, defines all callbacks except `init/1` for a component whose
+  state is a capture.
   """
   alias Situ.{AudioBuffer, AudioFormat, Component.Context, Sound}
   alias Situ.Media.{Capture.Clock, Capture.StallWatch, Decoder, Device}
@@ -22,9 +22,9 @@ defmodule Situ.Media.Capture do
 
   @retry 1_000_000_000
   @credits 4
-  # A simulated device begins so long after the pipeline: by then ffmpeg is up, and its frames come on time.
+  # A simulated device begins this long after the pipeline, so that ffmpeg is running and frames are on time.
   @lead 500_000_000
-  # Clocks this near are one clock, read twice.
+  # Two clocks this close are readings of the same clock.
   @same_clock 1_000_000
 
   @enforce_keys [:driver, :address, :outputs, :opts]
@@ -72,8 +72,8 @@ defmodule Situ.Media.Capture do
   end
 
   @doc """
-  A capture of `device` that is not running yet. `outputs` maps `:video` and `:audio` to outputs of the component.
-  `opts` need `:format`, `:size`, `:rate`, `:audio_format`, `:audio_buffer`, `:buffer`, `:reconnect`,
+  Builds a capture of `device` that is not running yet. `outputs` maps `:video` and `:audio` to outputs of the
+  component. `opts` must have `:format`, `:size`, `:rate`, `:audio_format`, `:audio_buffer`, `:buffer`, `:reconnect` and
   `:stall_timeout`, and may have `:gain`.
   """
   @spec new(Device.device(), %{atom() => atom()}, keyword()) ::
@@ -84,11 +84,11 @@ defmodule Situ.Media.Capture do
     end
   end
 
-  @doc "Starts capturing. Raises `Situ.Error` when the device cannot even be named to `ffmpeg`."
+  @doc "Starts capturing. Raises `Situ.Error` if the device cannot be passed to `ffmpeg`."
   @spec start(t(), Context.t()) :: result()
   def start(%__MODULE__{} = capture, context) do
     kind = if Map.has_key?(capture.outputs, :video), do: :camera, else: :microphone
-    # Before anything takes time: afterwards `context.now` is not now.
+    # Read this first, because `context.now` becomes outdated during the calls below.
     ahead = context.now - Situ.Time.now()
 
     with {:ok, %{args: args, clock: clock} = source} <-
@@ -96,7 +96,7 @@ defmodule Situ.Media.Capture do
          {:ok, reader} <- Reader.start_link(reader_options(capture, args, clock)) do
       Reader.ask(reader, @credits)
       capture = set_reconnect(%{capture | reader: reader, clock: clock, streams: nil}, source)
-      # A capture that reconnects for ever has no end; any other announces its end.
+      # A capture that reconnects forever has no end; all others announce their end.
       endless = if capture.opts[:reconnect], do: [{:complete, :infinity}], else: []
       {endless, %{capture | times: Clock.new(offset(clock, context, ahead, capture.last))}}
     else
@@ -104,7 +104,7 @@ defmodule Situ.Media.Capture do
     end
   end
 
-  # By default every source is opened again, unless it is meant to end.
+  # By default every source is reopened, unless it has an end.
   defp set_reconnect(capture, source) do
     opts =
       Keyword.update(capture.opts, :reconnect, nil, &if(&1 == nil, do: !source[:ends?], else: &1))
@@ -112,7 +112,7 @@ defmodule Situ.Media.Capture do
     %{capture | opts: opts}
   end
 
-  @doc "A message to the component: frames and ends of the reader; the reconnect timer."
+  @doc "Handles a message to the component: frames and ends from the reader, or a timer."
   @spec info(t(), term(), Context.t()) :: result()
   def info(%__MODULE__{reader: reader} = capture, {Reader, reader, result}, context),
     do: result(result, capture, context)
@@ -140,11 +140,11 @@ defmodule Situ.Media.Capture do
 
   def info(capture, _other, _context), do: {[], capture}
 
-  @doc "Hands over up to `n` frames that have arrived and whose time has come."
+  @doc "Emits up to `n` frames that have arrived and are due."
   @spec demand(t(), pos_integer(), Context.t()) :: result()
   def demand(%__MODULE__{} = capture, n, context), do: take(capture, n, due(capture, context), [])
 
-  @doc "Ends the capture at once."
+  @doc "Stops the capture immediately."
   @spec stop(t()) :: t()
   def stop(%__MODULE__{reader: nil} = capture), do: capture
 
@@ -153,7 +153,7 @@ defmodule Situ.Media.Capture do
     %{capture | reader: nil}
   end
 
-  @doc "One line for people."
+  @doc "Describes the capture in one line for people."
   @spec describe(t()) :: String.t()
   def describe(%__MODULE__{} = capture) do
     state = if capture.reader, do: "running", else: "not connected"
@@ -214,8 +214,8 @@ defmodule Situ.Media.Capture do
   defp mark_filter(:arrival, filter), do: [filter <> Clock.mark_jumps()]
   defp mark_filter(_clock, _filter), do: []
 
-  # A camera is set to a rate; of other streams frames are left out. The filter `fps` would fill each jump of the
-  # sender's clock with copies of the last picture.
+  # The driver sets the rate of a camera, and other streams are thinned out here. The filter `fps` would fill each jump
+  # of the sender's clock with copies of the last image.
   defp rate_filter(_clock, nil), do: []
   defp rate_filter(:wall, _rate), do: []
   defp rate_filter(:start, rate), do: ["fps=#{rate}"]
@@ -223,7 +223,7 @@ defmodule Situ.Media.Capture do
   defp rate_filter(:arrival, rate),
     do: ["select='isnan(prev_t)+gt(floor(t*#{rate}),floor(prev_t*#{rate}))'"]
 
-  # The offset to add to the capture's times; `nil` until the first frame gives it.
+  # Returns the offset to add to the capture's times, or `nil` if the first frame sets it.
   defp offset(:start, context, _ahead, last) when last == %{}, do: context.start_time + @lead
   defp offset(:start, context, _ahead, _again), do: context.now + @lead
   defp offset(:arrival, _context, _ahead, _last), do: nil
@@ -286,7 +286,7 @@ defmodule Situ.Media.Capture do
 
   defp amplify(data, _gain), do: data
 
-  # The waiting frames go out first; see take/3.
+  # Emits the waiting frames first; see take/4.
   defp finish(%{size: 0} = capture), do: complete(stop(capture))
   defp finish(capture), do: {[], %{stop(capture) | ended: true}}
 
@@ -335,7 +335,7 @@ defmodule Situ.Media.Capture do
 
   defp schedule_watch(_capture, _context), do: []
 
-  # A simulated device can be early: the frame waits for its time, and no further one is asked for.
+  # A frame of a simulated device can be early. It waits until it is due, and no further frame is requested until then.
   defp accept(%{clock: :start} = capture, kind, time, data, %{now: now}) when time > now do
     {[{:timer, {:due, capture.reader, {kind, time}}, time}], push(capture, kind, time, data)}
   end
@@ -393,7 +393,7 @@ defmodule Situ.Media.Capture do
 
   defp take(capture, n, due, actions) do
     case :queue.out(capture.queue) do
-      # Every number is smaller than the atom `:any`.
+      # In Erlang's term order every number is smaller than the atom `:any`.
       {{:value, {_output, time, _data} = item}, queue} when time <= due ->
         take(%{capture | queue: queue, size: capture.size - 1}, n - 1, due, [item | actions])
 

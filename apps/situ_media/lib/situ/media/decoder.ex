@@ -1,14 +1,14 @@
 defmodule Situ.Media.Decoder do
   @moduledoc """
-  Reads a media file as pictures and sound in the order of time, without a pipeline.
+  Reads images and audio from a media file in time order, without a pipeline.
 
       {:ok, decoder} = Situ.Media.Decoder.open("talk1.mp4", start: Situ.Time.s(2))
       {:video, 2_000_000_000, %Situ.Image{}, decoder} = Situ.Media.Decoder.next(decoder)
       :ok = Situ.Media.Decoder.close(decoder)
 
-  Times are media time in nanoseconds, exact from the file's own time base, 0 at the start of the file. The time of a
-  picture is when it is shown; the time of a piece of sound is when it **ends**. Each kind's times strictly increase:
-  a picture that claims a time at or before the one before it is left out and counted in `dropped`.
+  Times are media time in nanoseconds, converted exactly from the file's own time base, with 0 at the start of the file.
+  The time of an image is when it is shown, and the time of an audio buffer is when it **ends**. The times of each kind
+  strictly increase: an image with a time at or before the previous one is skipped and counted in `dropped`.
 
   `Situ.Media.VideoFile` is the source for pipelines.
   """
@@ -20,19 +20,19 @@ defmodule Situ.Media.Decoder do
     start: [
       type: {:integer, 0, 1_000_000_000_000_000},
       default: 0,
-      doc: "Media time to begin at, ns: the first picture at or after it."
+      doc: "Media time to begin at, ns; starts with the first image at or after it."
     ],
     end: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "Media time to end before, ns; `nil`: the whole file."
+      doc: "Media time to end before, ns; `nil`: end of the file."
     ],
-    video: [type: :boolean, default: true, doc: "Read the pictures."],
-    audio: [type: :boolean, default: true, doc: "Read the sound."],
+    video: [type: :boolean, default: true, doc: "Read the images."],
+    audio: [type: :boolean, default: true, doc: "Read the audio."],
     format: [
       type: {:in, Image.Format.all()},
       default: :bgr24,
-      doc: "Pixel format of the pictures."
+      doc: "Pixel format of the images."
     ],
     size: [
       type: {:optional, {:tuple, [:pos_integer, :pos_integer]}},
@@ -42,24 +42,29 @@ defmodule Situ.Media.Decoder do
     audio_format: [
       type: {:optional, {:struct, AudioFormat}},
       default: nil,
-      doc: "Convert the sound to this; `nil`: 16-bit samples at the file's rate and channels."
+      doc:
+        "Convert the audio to this format; `nil`: 16-bit samples at the file's rate and channels."
     ],
     audio_buffer: [
       type: :pos_integer,
       default: 20_000_000,
-      doc: "Length of one piece of sound, ns; the last may be shorter."
+      doc: "Length of an audio buffer, ns; the last may be shorter."
     ],
     max_pixels: [
       type: :pos_integer,
       default: 67_108_864,
-      doc: "Refuse pictures with more pixels, whatever the file claims."
+      doc: "Reject images with more pixels, whatever the file claims."
     ],
     threads: [
       type: :non_neg_integer,
       default: 0,
-      doc: "Decoder threads; 0: as many as cores."
+      doc: "Decoder threads; 0: one per core."
     ],
-    loop: [type: :boolean, default: false, doc: "Begin again at the end, times running on."]
+    loop: [
+      type: :boolean,
+      default: false,
+      doc: "Restart at the end of the file, with continuous times."
+    ]
   ]
 
   @enforce_keys [:reader, :info]
@@ -85,12 +90,12 @@ defmodule Situ.Media.Decoder do
           | {:eof, t()}
           | {:error, Error.t(), t()}
 
-  @doc "The options of `open/2`."
+  @doc "Returns the option schema of `open/2`."
   @spec options() :: Situ.Options.schema()
   def options, do: @schema
 
   @doc """
-  Starts decoding the file at `path`; the caller's process owns the decoder.
+  Starts decoding the file at `path`. The calling process owns the decoder.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -99,7 +104,7 @@ defmodule Situ.Media.Decoder do
     with {:ok, info} <- FileInfo.read(path), do: open(path, info, opts)
   end
 
-  @doc "As `open/2` for a file that was looked into before."
+  @doc "Starts decoding like `open/2`, with the result of an earlier `Situ.Media.FileInfo.read/1`."
   @spec open(Path.t(), FileInfo.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def open(path, %FileInfo{} = info, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
@@ -125,7 +130,7 @@ defmodule Situ.Media.Decoder do
     end
   end
 
-  @doc "The next picture or piece of sound; waits for it."
+  @doc "Waits for the next image or audio buffer and returns it."
   @spec next(t()) :: item()
   def next(%__MODULE__{} = decoder) do
     case Reader.next(decoder.reader, :infinity) do
@@ -135,12 +140,12 @@ defmodule Situ.Media.Decoder do
     end
   end
 
-  @doc "Ends the decoder at once."
+  @doc "Stops the decoder immediately."
   @spec close(t()) :: :ok
   def close(%__MODULE__{reader: reader}), do: Reader.stop(reader)
 
   @doc false
-  # A frame of the reader as a picture or sound; shared with live sources.
+  # Converts a frame of the reader to an image or audio buffer. Live sources use it, too.
   @spec convert(Nut.Demuxer.frame(), Nut.stream(), Image.Format.t() | nil, AudioFormat.t() | nil) ::
           {:video, Situ.Time.t(), Image.t()} | {:audio, Situ.Time.t(), AudioBuffer.t()}
   def convert(frame, %{class: :video} = stream, format, _audio_format) do
@@ -158,13 +163,13 @@ defmodule Situ.Media.Decoder do
   def convert(frame, %{class: :audio} = stream, _format, %AudioFormat{} = audio_format) do
     buffer = %AudioBuffer{format: audio_format, data: frame.data}
     {num, den} = stream.time_base
-    # Start and length are added before rounding, so that the ends of buffers are sample-exact.
+    # Adds start and length before rounding, so that the ends of buffers are exact to the sample.
     ticks = frame.ticks * num * audio_format.rate + AudioBuffer.frames(buffer) * den
     {:audio, Nut.to_ns(ticks, {1, den * audio_format.rate}), buffer}
   end
 
   @doc false
-  # Options that make ffmpeg deliver raw pictures or samples.
+  # Returns the options that make ffmpeg output raw images or samples.
   @spec raw_video(Image.Format.t(), {pos_integer(), pos_integer()} | nil) :: [String.t()]
   def raw_video(format, size) do
     scale =
@@ -173,14 +178,14 @@ defmodule Situ.Media.Decoder do
         {width, height} -> ["-vf", "scale=#{width}:#{height}"]
       end
 
-    # Times as the file has them, in its own time base: nothing is rounded to a frame rate.
+    # Keeps the times of the file in its own time base, without rounding to a frame rate.
     scale ++
       ~w(-c:v rawvideo -fps_mode passthrough -enc_time_base:v #{FFmpeg.input_time_base()}) ++
       ~w(-pix_fmt #{Pixels.ffmpeg(format)})
   end
 
   @doc false
-  # `filters` see the sound as it was decoded.
+  # `filters` are applied to the audio as decoded.
   @spec raw_audio(AudioFormat.t(), pos_integer(), [String.t()]) :: [String.t()]
   def raw_audio(%AudioFormat{} = format, buffer, filters \\ []) do
     frames = max(AudioFormat.ns_to_frames(format, buffer), 1)
@@ -195,13 +200,13 @@ defmodule Situ.Media.Decoder do
       opts[:end] && opts[:end] <= opts[:start] ->
         {:error,
          Error.new(:bad_option, "option :end must be after :start",
-           why: "the span from #{opts[:start]} to #{opts[:end]} is empty"
+           why: "the span from #{opts[:start]} to #{opts[:end]} ns is empty"
          )}
 
       info.duration && opts[:start] >= info.duration ->
         {:error,
-         Error.new(:bad_option, "option :start lies behind the end of #{info.name}",
-           why: "it lasts #{Situ.Time.format_duration(info.duration)}"
+         Error.new(:bad_option, "option :start is after the end of #{info.name}",
+           why: "the file lasts #{Situ.Time.format_duration(info.duration)}"
          )}
 
       true ->
@@ -212,7 +217,7 @@ defmodule Situ.Media.Decoder do
   defp check_any(nil, nil, info) do
     {:error,
      Error.new(:no_stream, "#{info.name} has nothing to read with these options",
-       fix: "it has #{if info.video, do: "pictures", else: "sound"} only"
+       fix: "read its #{if info.video, do: "images", else: "audio"}; it has no other stream"
      )}
   end
 
@@ -223,7 +228,7 @@ defmodule Situ.Media.Decoder do
 
   defp audio_format(_audio, format), do: format
 
-  # MP4 and its kin say exactly how long the sound is; the last frame of the codec is padded beyond it.
+  # MP4 and related formats state the exact audio length; the last frame of the codec is padded beyond it.
   defp audio_end(%{format: "mov" <> _}, %{duration: duration}), do: duration
   defp audio_end(_info, _audio), do: nil
 
@@ -231,7 +236,7 @@ defmodule Situ.Media.Decoder do
   defp least(limit, nil), do: limit
   defp least(a, b), do: min(a, b)
 
-  # ffmpeg counts a span from the first picture it keeps: it is asked for more, and the end is cut here.
+  # ffmpeg counts a span from the first image it keeps, so more is requested and the end is cut here.
   @spare 1_000_000_000
 
   defp input(path, info, opts) do
@@ -239,8 +244,8 @@ defmodule Situ.Media.Decoder do
     span = if opts[:end], do: ["-t", seconds(opts[:end] - opts[:start] + @spare)], else: []
     loop = if opts[:loop], do: ~w(-stream_loop -1), else: []
 
-    # The first moment of the file is media time 0; in our own files time 0 is marked, and a codec's lead-in lies
-    # before.
+    # The start of the file is media time 0. Files written by Situ mark time 0, and the lead-in of the codec comes
+    # before it.
     zero = if info.exact?, do: [], else: ["-start_at_zero"]
 
     ["-copyts" | zero] ++
@@ -257,7 +262,7 @@ defmodule Situ.Media.Decoder do
       if(audio, do: raw_audio(audio_format, opts[:audio_buffer]), else: [])
   end
 
-  # Decimal seconds, exactly.
+  # Formats nanoseconds as exact decimal seconds.
   defp seconds(ns) do
     fraction = ns |> rem(1_000_000_000) |> Integer.to_string() |> String.pad_leading(9, "0")
     "#{div(ns, 1_000_000_000)}.#{fraction}"

@@ -1,6 +1,6 @@
 defmodule Situ.Media.Device do
   @moduledoc """
-  Devices behind one behaviour: what can be listed, and how to start capturing from it or playing to it.
+  A behaviour for devices: listing them, and starting capture or playback.
 
   A device is named by a driver and an address, `DRIVER:ADDRESS`:
 
@@ -21,8 +21,8 @@ defmodule Situ.Media.Device do
       iex> error.fix
       "did you mean \\"pulse\\"? Drivers: alsa, input, lavfi, pulse, simulated, v4l2, x11grab, and any URL"
 
-  Drivers describe; `Situ.Media.Capture` runs what they describe, in a process of the operating system of its own. A new
-  kind of device is a module with this behaviour: give `{MyDriver, address}` wherever a device's name is taken.
+  Drivers only describe devices. `Situ.Media.Capture` runs the capture in a separate operating system process. To add a
+  kind of device, implement this behaviour and pass `{MyDriver, address}` wherever a device name is accepted.
   """
   alias Situ.Error
 
@@ -30,7 +30,7 @@ defmodule Situ.Media.Device do
   defstruct [:id, :kind, :name, default?: false, modes: []]
 
   @type kind :: :camera | :microphone | :speaker | :depth_camera
-  @typedoc "A device that is there: `id` opens it; `modes` are the sizes and rates of a camera, for people."
+  @typedoc "An available device. `id` opens it, and `modes` lists the sizes and rates of a camera for people."
   @type t :: %__MODULE__{
           id: String.t(),
           kind: kind(),
@@ -40,13 +40,13 @@ defmodule Situ.Media.Device do
         }
 
   @typedoc """
-  How to capture: options of `ffmpeg` up to and including its input, and what the times it gives mean:
+  A description of a capture: the options of `ffmpeg` up to and including its input, and the clock of its times:
 
     * `:wall`: nanoseconds since the epoch, stamped when captured
-    * `:arrival`: a clock of the sender's own, set to the pipeline's clock when the first frame arrives
-    * `:start`: the pipeline's start is 0
+    * `:arrival`: the sender's own clock, synchronized with the pipeline's clock when the first frame arrives
+    * `:start`: 0 is the pipeline's start
 
-  `ends?` says that the source is meant to end, so that its end is not a loss.
+  `ends?` is true if the source is expected to end, so that its end does not count as a loss.
   """
   @type capture :: %{
           required(:args) => [String.t()],
@@ -57,17 +57,17 @@ defmodule Situ.Media.Device do
   @type address :: String.t()
   @type device :: String.t() | {driver(), address()}
 
-  @doc "The devices of this driver that are there now. Empty when its system is not."
+  @doc "Lists the devices that are available to this driver, or `[]` if its system is not available."
   @callback list() :: [t()]
 
-  @doc "How to capture from `address`. `opts` are those of `Situ.Media.Camera` or `Situ.Media.Microphone`."
+  @doc "Describes the capture from `address`. For `opts`, see `Situ.Media.Camera` and `Situ.Media.Microphone`."
   @callback capture(address(), kind(), opts :: keyword()) ::
               {:ok, capture()} | {:error, Error.t()}
 
-  @doc "How to play to `address`: the output options of `ffmpeg`."
+  @doc "Returns the output options of `ffmpeg` for playback to `address`."
   @callback playback(address(), opts :: keyword()) :: {:ok, [String.t()]} | {:error, Error.t()}
 
-  @doc "Where to look when a device of this kind cannot be opened."
+  @doc "Returns advice for a device of this kind that cannot be opened."
   @callback help(kind()) :: String.t()
 
   @optional_callbacks playback: 2, help: 1
@@ -81,11 +81,11 @@ defmodule Situ.Media.Device do
   # Inputs of ffmpeg that are named like drivers.
   @inputs ["lavfi", "x11grab", "input"]
 
-  @doc "The drivers, by name."
+  @doc "Returns the drivers by name."
   @spec drivers() :: %{String.t() => driver()}
   def drivers, do: @drivers
 
-  @doc "The driver and the address a name means."
+  @doc "Parses a device name into its driver and address."
   @spec parse(device()) :: {:ok, {driver(), address()}} | {:error, Error.t()}
   def parse({driver, address}) when is_atom(driver) and is_binary(address),
     do: {:ok, {driver, address}}
@@ -101,7 +101,7 @@ defmodule Situ.Media.Device do
     end
   end
 
-  @doc "Every device there is, of every driver."
+  @doc "Lists the available devices of all drivers."
   @spec list() :: [t()]
   def list, do: @drivers |> Map.values() |> Enum.flat_map(& &1.list())
 
@@ -111,7 +111,7 @@ defmodule Situ.Media.Device do
     do: {:error, Error.new(code, "#{address}: #{what}", meta: %{device: address})}
 
   @doc false
-  # The error of a device that does not open, in the words of somebody who wants to use one.
+  # Rewrites the error of a device that does not open into advice for its user.
   @spec unopened(Error.t(), driver(), address(), kind()) :: Error.t()
   def unopened(%Error{fix: nil} = error, driver, address, kind) do
     if Code.ensure_loaded?(driver) and function_exported?(driver, :help, 1),
@@ -122,7 +122,7 @@ defmodule Situ.Media.Device do
   def unopened(error, _driver, _address, _kind), do: error
 
   @doc false
-  # Runs a listing program; one that is missing or fails lists nothing.
+  # Runs a program that lists devices. Returns "" if the program is missing or fails.
   @spec run(String.t(), [String.t()]) :: String.t()
   def run(program, args) do
     with path when is_binary(path) <- System.find_executable(program),
@@ -140,7 +140,7 @@ defmodule Situ.Media.Device do
 
     Error.new(
       :unknown_device,
-      "there is no driver #{inspect(driver)} for device #{inspect(name)}",
+      "unknown driver #{inspect(driver)} for device #{inspect(name)}",
       fix: hint <> "Drivers: " <> Enum.join(known, ", ") <> ", and any URL"
     )
   end

@@ -1,17 +1,17 @@
 defmodule Situ.Media.Encoder do
   @moduledoc """
-  Writes a video file with sound, without a pipeline. The file's name decides its kind: `.mp4`, `.m4v`, `.mov`, `.mkv`,
-  `.webm`, and for sound alone `.m4a`, `.mka`, `.flac`, `.ogg`, `.opus`, `.mp3`. (AVI is not written: it keeps no
-  times.)
+  Writes a video file with audio, without a pipeline. The extension of the file sets its format: `.mp4`, `.m4v`, `.mov`,
+  `.mkv`, `.webm`, and for audio only `.m4a`, `.mka`, `.flac`, `.ogg`, `.opus`, `.mp3`. (AVI is not supported because it
+  stores no times.)
 
       {:ok, encoder} = Situ.Media.Encoder.open("out.mp4", video: image, audio: format, start_time: t0)
       :ok = Situ.Media.Encoder.video(encoder, t0, image)
       :ok = Situ.Media.Encoder.audio(encoder, t0 + Situ.Time.ms(20), buffer)
       :ok = Situ.Media.Encoder.close(encoder)
 
-  Times are originating times: of a picture when it was taken, of a piece of sound when it ended. `start_time` is the
-  file's time 0, and is kept in the file to the nanosecond (`Situ.Media.FileInfo`), so that reading it back gives the
-  same originating times. Frame times are kept as they are (variable frame rate), to a 90,000th of a second.
+  Times are originating times: an image has the time it was taken, and an audio buffer the time it ended. `start_time`
+  is the file's time 0. It is stored in the file to the nanosecond (`Situ.Media.FileInfo`), so that reading the file
+  gives the same originating times. Frame times are kept (variable frame rate), rounded to 1/90,000 s.
   """
   alias Situ.{AudioBuffer, AudioFormat, Error, Image}
   alias Situ.Media.Encoder.Arguments
@@ -27,50 +27,49 @@ defmodule Situ.Media.Encoder do
     audio_codec: [
       type: {:optional, {:in, Arguments.sounds()}},
       default: nil,
-      doc: "Sound codec; `nil`: what suits the kind of file."
+      doc: "Audio codec; `nil`: the default of the file's format."
     ],
     quality: [
       type: {:integer, 0, 51},
       default: 23,
-      doc: "Constant quality, lower is better and larger (x264's CRF)."
+      doc: "Constant quality; lower values mean better quality and larger files (x264's CRF)."
     ],
     bitrate: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "Bits a second for the pictures, instead of a constant quality."
+      doc: "Video bits per second, instead of a constant quality."
     ],
-    audio_bitrate: [type: :pos_integer, default: 128_000, doc: "Bits a second for the sound."],
+    audio_bitrate: [type: :pos_integer, default: 128_000, doc: "Audio bits per second."],
     preset: [
       type: {:in, [:ultrafast, :veryfast, :fast, :medium, :slow]},
       default: :veryfast,
-      doc: "Speed against size (H.264, H.265)."
+      doc: "Trade-off of speed and file size (H.264, H.265)."
     ],
     keyframe_every: [
       type: :pos_integer,
       default: 2_000_000_000,
-      doc: "Longest time between key frames, ns: how finely a player can seek."
+      doc: "Maximum time between key frames, ns; limits how precisely a player can seek."
     ],
     fragmented: [
       type: :boolean,
       default: false,
-      doc:
-        "MP4 that can be read up to the last fragment even when the machine died while writing."
+      doc: "Write MP4 in fragments, so that it is readable up to the last one after a crash."
     ],
     last_frame: [
       type: :pos_integer,
       default: 40_000_000,
-      doc: "How long the last picture is shown, ns: nothing after it tells."
+      doc: "Display time of the last image, ns, since no later image limits it."
     ],
-    threads: [type: :non_neg_integer, default: 0, doc: "Encoder threads; 0: as many as cores."]
+    threads: [type: :non_neg_integer, default: 0, doc: "Encoder threads; 0: one per core."]
   ]
 
   @inputs [
     video: [
       type: {:optional, {:struct, Image}},
       default: nil,
-      doc: "A picture of the size and format all will have."
+      doc: "An image of the size and format of all images."
     ],
-    audio: [type: {:optional, {:struct, AudioFormat}}, default: nil, doc: "The sound's format."],
+    audio: [type: {:optional, {:struct, AudioFormat}}, default: nil, doc: "The audio format."],
     start_time: [type: :time_ns, required: true, doc: "Originating time that becomes 0."]
   ]
 
@@ -79,12 +78,12 @@ defmodule Situ.Media.Encoder do
 
   @type t :: %__MODULE__{}
 
-  @doc "The options about codecs and quality."
+  @doc "Returns the schema of the codec and quality options."
   @spec options() :: Situ.Options.schema()
   def options, do: @schema
 
   @doc """
-  Creates the file (an existing one is replaced). At least one of `video:` and `audio:` is needed.
+  Creates the file and replaces an existing one. `video:`, `audio:` or both are required.
 
   #{Situ.Options.docs(@inputs ++ @schema)}
   """
@@ -117,7 +116,7 @@ defmodule Situ.Media.Encoder do
     end
   end
 
-  @doc "Writes a picture taken at `time`."
+  @doc "Writes an image taken at `time`."
   @spec video(t(), Situ.Time.t(), Image.t()) :: :ok | {:error, Error.t()}
   def video(%__MODULE__{video: video} = encoder, time, %Image{} = image) do
     with :ok <- check_time(encoder, time),
@@ -127,7 +126,7 @@ defmodule Situ.Media.Encoder do
     end
   end
 
-  @doc "Writes a piece of sound that ended at `time`."
+  @doc "Writes an audio buffer that ended at `time`."
   @spec audio(t(), Situ.Time.t(), AudioBuffer.t()) :: :ok | {:error, Error.t()}
   def audio(%__MODULE__{audio: format} = encoder, time, %AudioBuffer{format: format} = buffer) do
     start = AudioBuffer.start_time(buffer, time)
@@ -140,13 +139,13 @@ defmodule Situ.Media.Encoder do
 
   def audio(%__MODULE__{} = encoder, _time, %AudioBuffer{} = buffer) do
     {:error,
-     Error.new(:bad_audio, "#{Path.basename(encoder.path)} holds #{sound(encoder.audio)}",
-       why: "the format of the sound is fixed when the file is opened; got #{inspect(buffer)}",
+     Error.new(:bad_audio, "#{Path.basename(encoder.path)} contains #{sound(encoder.audio)}",
+       why: "the audio format is fixed when the file is opened; got #{inspect(buffer)}",
        fix: "resample the stream before writing it"
      )}
   end
 
-  @doc "Finishes the file; waits for the encoder."
+  @doc "Waits for the encoder and finishes the file."
   @spec close(t()) :: :ok | {:error, Error.t()}
   def close(%__MODULE__{writer: writer}), do: Writer.finish(writer)
 
@@ -154,7 +153,7 @@ defmodule Situ.Media.Encoder do
     if opts[:video] || opts[:audio],
       do: :ok,
       else:
-        {:error, Error.new(:bad_option, "a media file needs pictures (video:) or sound (audio:)")}
+        {:error, Error.new(:bad_option, "a media file needs images (video:) or audio (audio:)")}
   end
 
   defp check_folder(path) do
@@ -162,7 +161,7 @@ defmodule Situ.Media.Encoder do
 
     if File.dir?(folder),
       do: :ok,
-      else: {:error, Error.new(:cannot_write, "there is no folder #{inspect(folder)}")}
+      else: {:error, Error.new(:cannot_write, "the folder #{inspect(folder)} does not exist")}
   end
 
   defp check_time(encoder, time) do
@@ -170,8 +169,8 @@ defmodule Situ.Media.Encoder do
       do: :ok,
       else:
         {:error,
-         Error.new(:before_start, "#{Path.basename(encoder.path)} has begun already",
-           why: "the data is #{encoder.start_time - time} ns older than the file's time 0"
+         Error.new(:before_start, "data is too early for #{Path.basename(encoder.path)}",
+           why: "it is #{encoder.start_time - time} ns before the file's time 0"
          )}
   end
 
@@ -180,16 +179,16 @@ defmodule Situ.Media.Encoder do
 
   defp same_picture(encoder, expected, image) do
     {:error,
-     Error.new(:bad_image, "#{Path.basename(encoder.path)} holds #{describe(expected)}",
+     Error.new(:bad_image, "#{Path.basename(encoder.path)} contains #{describe(expected)}",
        why:
-         "every picture of a video has the same size and format; this one is #{describe(image)}",
+         "all images of a video must have the same size and format; this one is #{describe(image)}",
        fix: "resize and convert the stream before writing it"
      )}
   end
 
-  defp sound(nil), do: "no sound"
+  defp sound(nil), do: "no audio"
   defp sound(format), do: inspect(format)
-  defp describe(nil), do: "no pictures"
+  defp describe(nil), do: "no images"
   defp describe(image), do: Image.describe(image)
 
   defp video_stream(nil), do: []

@@ -1,10 +1,10 @@
 defmodule Situ.Media.FFmpeg do
   @moduledoc """
-  The `ffmpeg` and `ffprobe` programs: where they are, and how they are started.
+  Finds and starts the programs `ffmpeg` and `ffprobe`.
 
-  Decoders meet hostile bytes, so they run in a process of the operating system of their own: a crash there is an error
-  here, and never takes the VM down. The decoded data comes back over a local socket that is read on demand
-  (`Situ.Media.FFmpeg.Reader`), so a slow pipeline slows the decoder down and nothing piles up.
+  Decoders process untrusted bytes, so each runs in a separate operating system process: a crash there is an error here
+  and never takes the VM down. The decoded data is returned over a local socket that is read on demand
+  (`Situ.Media.FFmpeg.Reader`), so a slow pipeline slows the decoder down and no data accumulates.
 
       iex> {:ok, path} = Situ.Media.FFmpeg.executable("ffmpeg")
       iex> Path.basename(path)
@@ -12,17 +12,17 @@ defmodule Situ.Media.FFmpeg do
   """
   alias Situ.Error
 
-  # No single allocation inside ffmpeg may exceed this, whatever a header claims.
+  # Limits each allocation inside ffmpeg, whatever a header claims.
   @max_alloc 1_073_741_824
 
-  @doc "The full path of `program` (`\"ffmpeg\"` or `\"ffprobe\"`)."
+  @doc "Returns the full path of `program` (`\"ffmpeg\"` or `\"ffprobe\"`)."
   @spec executable(String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def executable(program) when is_binary(program) do
     case System.find_executable(program) do
       nil ->
         {:error,
          Error.new(:no_ffmpeg, "the program #{program} is not installed",
-           why: "video files, network streams and devices are read and written by FFmpeg",
+           why: "FFmpeg reads and writes video files, network streams and devices",
            fix: "install it: apt-get install ffmpeg"
          )}
 
@@ -31,15 +31,15 @@ defmodule Situ.Media.FFmpeg do
     end
   end
 
-  @doc "Options every `ffmpeg` here starts with: quiet but for errors, no keyboard, bounded allocations."
+  @doc "Returns the options of every `ffmpeg` command: errors only, no keyboard, limited allocations."
   @spec global_options() :: [String.t()]
   def global_options do
     ~w(-hide_banner -nostdin -loglevel level+error -max_alloc #{@max_alloc} -y)
   end
 
   @doc """
-  The name by which the installed FFmpeg takes "the input's own time base" for an encoder. It was a number, and has been
-  a word from version 6.1 on; 8 no longer knows the number.
+  Returns the installed FFmpeg's name for the encoder time base "same as the input". It was a number before version 6.1
+  and is a word since then; version 8 no longer accepts the number.
 
       iex> Situ.Media.FFmpeg.input_time_base("ffmpeg version 5.1.9-0+deb12u1 Copyright (c) ...")
       "-1"
@@ -54,7 +54,7 @@ defmodule Situ.Media.FFmpeg do
     end
   end
 
-  # Asked once for each program: it does not change while we run.
+  # Runs each program once, because its version does not change while the VM is running.
   defp banner do
     path = System.find_executable("ffmpeg")
     key = {__MODULE__, path}
@@ -66,8 +66,8 @@ defmodule Situ.Media.FFmpeg do
     end
   end
 
-  # Which of FFmpeg's demuxers may read a file of this ending. None of them follows names of other files inside, as
-  # playlists (HLS, DASH, concat) do, whatever they are called.
+  # The FFmpeg demuxers that may read a file with these extensions. None of them opens other files that are named
+  # inside, as playlists (HLS, DASH, concat) do, whatever the extension.
   @demuxers [
     {~w(.mp4 .m4v .mov .m4a .3gp .3g2 .mj2), ~w(mov)},
     {~w(.mkv .webm .mka .mk3d), ~w(matroska)},
@@ -95,8 +95,9 @@ defmodule Situ.Media.FFmpeg do
   @all_demuxers @demuxers |> Enum.flat_map(&elem(&1, 1)) |> Enum.uniq()
 
   @doc """
-  Options that keep a local file local: only the formats of its ending are tried (any that holds sound or pictures
-  itself, for an ending nobody knows), and nothing in it reaches another file or the network.
+  Returns input options that confine a local file. Only the formats of its extension are tried (or, for an unknown
+  extension, all formats that contain audio or images themselves), and the file cannot refer to other files or the
+  network.
 
       iex> Situ.Media.FFmpeg.local_file("-odd:name.mp4")
       ["-protocol_whitelist", "file,crypto,data", "-format_whitelist", "mov", "-i", "file:-odd:name.mp4"]
@@ -115,8 +116,8 @@ defmodule Situ.Media.FFmpeg do
     |> Enum.join(",")
   end
 
-  # Runs a program whose life is bound to the port: when the port closes (its owner ended, or the VM did), the shell's
-  # standard input ends and the program is killed. Without it a program that waits for a camera would stay forever.
+  # Binds a program's life to the port. When the port closes (its owner or the VM ended), the shell's standard input
+  # ends and the program is killed. Without this, a program that waits for a camera would run forever.
   @bound """
   exec 3<&0
   "$@" </dev/null 3<&- &
@@ -130,12 +131,12 @@ defmodule Situ.Media.FFmpeg do
   exit $status
   """
 
-  # Runs a program that ends by itself when its input does: what was written must be finished even when the VM dies.
+  # Runs a program that ends after its input does, so that the output is finished even if the VM dies.
   @free ~S(exec "$@" </dev/null)
 
   @doc """
-  Starts `program` with `args`; its messages arrive at the caller as `{port, {:data, {:eol | :noeol, line}}}` and then
-  `{port, {:exit_status, status}}`.
+  Starts `program` with `args`. Its messages arrive at the caller as `{port, {:data, {:eol | :noeol, line}}}`, followed
+  by `{port, {:exit_status, status}}`.
 
   With `bound: true` (the default) the program is killed when the port closes.
   """

@@ -1,14 +1,14 @@
 defmodule Situ.Media.FileInfo do
   @moduledoc """
-  The contents of a media file, found without decoding it.
+  Describes the contents of a media file without decoding it.
 
       {:ok, info} = Situ.Media.FileInfo.read("talk1.mp4")
       {info.video.width, info.video.height, info.audio.rate, info.duration}
       #=> {1024, 512, 16_000, 14_000_000_000}
 
-    * `duration`: nanoseconds, or `nil` when the file does not say
-    * `recorded_at`: when it was recorded, nanoseconds since the epoch, or `nil`: exactly, for files written by
-      `Situ.Media.VideoWriter`; else the file's own `creation_time`
+    * `duration`: nanoseconds, or `nil` if the file does not state it
+    * `recorded_at`: the recording time in nanoseconds since the epoch, or `nil`. It is exact for files written by
+      `Situ.Media.VideoWriter`; for other files it is their `creation_time`
     * `exact?`: whether `recorded_at` is the exact originating time of media time 0
     * `video`: `%{index, codec, width, height, rate, duration}` or `nil`; `rate` is `{frames, seconds}` or `nil`
     * `audio`: `%{index, codec, rate, channels, duration}` or `nil`
@@ -43,19 +43,19 @@ defmodule Situ.Media.FileInfo do
           audio: audio() | nil
         }
 
-  # The tag that keeps the exact originating time of a recording's start.
+  # The tag that stores the exact originating time at which a recording starts.
   @tag "situ_start_time"
   @seconds 30
   @entries "format=format_name,duration:format_tags=creation_time,#{@tag}" <>
              ":stream=index,codec_type,codec_name,width,height,avg_frame_rate,r_frame_rate," <>
              "sample_rate,channels,duration:stream_disposition=attached_pic"
 
-  @doc "The name of the tag that holds a recording's exact start."
+  @doc "Returns the name of the tag that stores the exact start time of a recording."
   @spec start_tag() :: String.t()
   def start_tag, do: @tag
 
   @doc """
-  Opens the file at `path` and says what is in it. Gives up after 30 s.
+  Probes the file at `path` and returns its contents. Gives up after 30 s.
 
       iex> {:error, error} = Situ.Media.FileInfo.read("no-such.mp4")
       iex> error.code
@@ -71,7 +71,7 @@ defmodule Situ.Media.FileInfo do
   end
 
   defp probe(path) do
-    # ffprobe ends by itself; `timeout` ends it when a hostile file keeps it busy.
+    # ffprobe ends on its own; `timeout` kills it if a malicious file keeps it busy.
     args =
       ~w(-k 1 #{@seconds}) ++
         ["ffprobe" | ~w(-hide_banner -loglevel quiet -of json -show_entries #{@entries})] ++
@@ -87,7 +87,7 @@ defmodule Situ.Media.FileInfo do
     {:ok, said} = Situ.JSON.decode(out)
     %{"format" => format, "streams" => streams} = Map.merge(%{"streams" => []}, said)
 
-    # Matroska keeps the names of tags in capitals.
+    # Matroska stores the names of tags in capitals.
     tags = Map.new(format["tags"] || %{}, fn {key, value} -> {String.downcase(key), value} end)
     exact = exact_start(tags[@tag])
 
@@ -103,19 +103,22 @@ defmodule Situ.Media.FileInfo do
 
     if info.video || info.audio,
       do: {:ok, info},
-      else: {:error, unreadable(path, "it holds neither pictures nor sound")}
+      else: {:error, unreadable(path, "the file contains neither images nor audio")}
   end
 
   defp parse(_out, 124, path),
-    do: {:error, unreadable(path, "looking into it took longer than #{@seconds} s")}
+    do: {:error, unreadable(path, "probing the file took longer than #{@seconds} s")}
 
   defp parse(_out, _status, path),
     do:
       {:error,
-       unreadable(path, "FFmpeg does not know what it is, or its headers are missing or damaged")}
+       unreadable(
+         path,
+         "FFmpeg does not recognize the format, or its headers are missing or damaged"
+       )}
 
   defp video(%{"codec_type" => "video"} = stream) do
-    # A cover picture inside a sound file is no film.
+    # The cover image of an audio file is not a video.
     if stream["disposition"]["attached_pic"] == 1 do
       nil
     else
@@ -154,7 +157,7 @@ defmodule Situ.Media.FileInfo do
     end
   end
 
-  # Decimal seconds with six digits, exactly.
+  # Parses decimal seconds exactly.
   defp duration(nil), do: nil
 
   defp duration(text) do

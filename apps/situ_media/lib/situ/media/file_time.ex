@@ -1,13 +1,14 @@
 defmodule Situ.Media.FileTime do
   @moduledoc """
-  How media time (0 at the start of a file) becomes originating time.
+  Converts media time (0 at the start of a file) to originating time.
 
   Every source that reads a file takes `start_time:`
 
-    * `:file` (default): the file's own time: exact for recordings Situ wrote, else when the file says it was made, else
-      the epoch. The same file gives the same times in every run, and the pipeline's clock begins at the file's time.
+    * `:file` (default): the file's own time. It is exact for recordings written by Situ; for other files it is their
+      creation time, or the epoch if the file does not state it. The same file gives the same times in every run, and
+      the pipeline's clock begins at the file's time.
     * an integer: the originating time of media time 0, with the same effect on the pipeline's clock.
-    * `:pipeline`: what is read first gets the time at which the pipeline starts, as if it happened now.
+    * `:pipeline`: the first data read gets the time at which the pipeline starts, as if it were live.
 
       iex> Situ.Media.FileTime.offset(:pipeline, nil, Situ.Time.s(3), %{start_time: Situ.Time.s(100)})
       97_000_000_000
@@ -17,7 +18,7 @@ defmodule Situ.Media.FileTime do
 
   @type start_time :: :file | :pipeline | Situ.Time.t()
 
-  @doc "The option's schema entry."
+  @doc "Returns the schema entry of the option."
   @spec option() :: keyword()
   def option do
     [
@@ -28,7 +29,7 @@ defmodule Situ.Media.FileTime do
     ]
   end
 
-  @doc "The offset to add to a media time, for a file recorded at `recorded_at` and read from media time `start` on."
+  @doc "Returns the offset to add to media times, for a file recorded at `recorded_at` and read from `start`."
   @spec offset(start_time(), Situ.Time.t() | nil, Situ.Time.t(), %{
           :start_time => Situ.Time.t(),
           optional(atom()) => term()
@@ -38,7 +39,7 @@ defmodule Situ.Media.FileTime do
   def offset(:file, recorded_at, _start, _context), do: recorded_at || 0
   def offset(time, _recorded_at, _start, _context) when is_integer(time), do: time
 
-  @doc "Tells the pipeline which span the file covers, unless it plays at the pipeline's own time."
+  @doc "Proposes the span of the file to the pipeline for replay, unless `start_time` is `:pipeline`."
   @spec propose(
           Situ.Pipeline.t(),
           start_time(),
@@ -54,7 +55,7 @@ defmodule Situ.Media.FileTime do
   end
 
   @doc """
-  The part of a file to read: what the options say, cut to the pipeline's replay interval.
+  Returns the span of the file to read: the span from the options, clipped to the pipeline's replay interval.
 
       iex> Situ.Media.FileTime.span(100, {10, nil}, %{start_time: 130, replay_end: 150})
       {30, 51}

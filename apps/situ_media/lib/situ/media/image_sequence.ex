@@ -8,12 +8,12 @@ defmodule Situ.Media.ImageSequence do
     files: [
       type: {:or, [:string, {:list, :string}]},
       required: true,
-      doc: "A folder, a pattern (`\"shots/*.png\"`), or a list of files in their order."
+      doc: "A folder, a pattern (`\"shots/*.png\"`), or an ordered list of files."
     ],
     rate: [
       type: :number,
       default: 25,
-      doc: "Pictures a second, for files without times of their own."
+      doc: "Images per second, for files without stored times."
     ],
     format: [
       type: {:optional, {:in, Image.Format.all()}},
@@ -24,18 +24,18 @@ defmodule Situ.Media.ImageSequence do
     on_damage: [
       type: {:in, [:error, :skip]},
       default: :error,
-      doc: "At a picture that cannot be read: end with the error, or leave it out and log."
+      doc: "For an unreadable image: end with the error, or skip the image and log a warning."
     ]
   ]
 
   @moduledoc """
-  A source of pictures from JPEG and PNG files.
+  A source of images from JPEG and PNG files.
 
       p |> Situ.Media.ImageSequence.open("shots/", rate: 10) |> Situ.each(&IO.inspect/1)
 
-  Files of a folder or a pattern come in the order of the numbers in their names (`shot-2` before `shot-10`). A folder
-  that `Situ.Media.ImageSequenceWriter` wrote holds the originating times too, and is read back with them; other
-  pictures get steps of `1 / rate` from `start_time:` on (`Situ.Media.FileTime`).
+  Files of a folder or a pattern are sorted by the numbers in their names (`shot-2` before `shot-10`). A folder written
+  by `Situ.Media.ImageSequenceWriter` also contains the originating times, and they are used. All other images get steps
+  of `1 / rate` from `start_time:` (`Situ.Media.FileTime`).
 
   ## Options
 
@@ -45,7 +45,7 @@ defmodule Situ.Media.ImageSequence do
 
   require Logger
 
-  @doc "Adds the source and returns its stream; raises `Situ.Error` when there is no picture."
+  @doc "Adds the source and returns its stream. Raises `Situ.Error` if no image is found."
   @spec open(Situ.Pipeline.t(), Path.t() | [Path.t()], keyword()) :: Situ.Stream.t()
   def open(p, files, opts \\ []) do
     {opts, placed} = Placement.split!([files: files] ++ opts, @schema, :component)
@@ -89,7 +89,7 @@ defmodule Situ.Media.ImageSequence do
   def handle_stop(_final_time, _context, %{damage: error}), do: raise(error)
 
   @doc """
-  The pictures in a folder or of a pattern, in the order of the numbers in their names.
+  Returns a sort key that orders files by the numbers in their names.
 
       iex> Enum.sort_by(["a10.png", "a9.png", "b1.png"], &Situ.Media.ImageSequence.order/1)
       ["a9.png", "a10.png", "b1.png"]
@@ -122,7 +122,7 @@ defmodule Situ.Media.ImageSequence do
     end
   end
 
-  defp files(list) when is_list(list), do: some(list, "the list of pictures is empty")
+  defp files(list) when is_list(list), do: some(list, "the list of images is empty")
 
   defp files(pattern) do
     found =
@@ -130,11 +130,11 @@ defmodule Situ.Media.ImageSequence do
         do: Path.wildcard(Path.join(pattern, "*.{jpg,jpeg,png,JPG,JPEG,PNG}")),
         else: Path.wildcard(pattern)
 
-    found |> Enum.sort_by(&order/1) |> some("there is no picture at #{inspect(pattern)}")
+    found |> Enum.sort_by(&order/1) |> some("no images found at #{inspect(pattern)}")
   end
 
   defp some([], what),
-    do: {:error, Error.new(:no_file, what, fix: "JPEG and PNG files are read: .jpg, .jpeg, .png")}
+    do: {:error, Error.new(:no_file, what, fix: "use JPEG or PNG files: .jpg, .jpeg, .png")}
 
   defp some(files, _what), do: {:ok, files}
 

@@ -3,23 +3,31 @@ defmodule Situ.Media.ImageSequenceWriter do
   alias Situ.Media.ImageSequence.Index
 
   @schema [
-    folder: [type: :string, required: true, doc: "Where to; it is made when it is not there."],
+    folder: [
+      type: :string,
+      required: true,
+      doc: "The folder to write to; created if it does not exist."
+    ],
     type: [
       type: {:in, [:jpg, :png]},
       default: :jpg,
-      doc: "How to compress; `Situ.EncodedImage`s are written as they are."
+      doc: "Compression; a `Situ.EncodedImage` is written unchanged."
     ],
-    quality: [type: {:integer, 1, 100}, default: 90, doc: "Quality of JPEG."],
-    digits: [type: {:integer, 1, 18}, default: 6, doc: "Digits in the names: `000001.jpg`."]
+    quality: [type: {:integer, 1, 100}, default: 90, doc: "JPEG quality."],
+    digits: [
+      type: {:integer, 1, 18},
+      default: 6,
+      doc: "Number of digits in the file names: `000001.jpg`."
+    ]
   ]
 
   @moduledoc """
-  A sink that writes every picture into a file of its own, and their times beside them (`times.csv`), so that
-  `Situ.Media.ImageSequence` reads them back with the same originating times.
+  A sink that writes each image to a separate file, and their times to the same folder (`times.csv`).
+  `Situ.Media.ImageSequence` reads them with the same originating times.
 
       camera |> Situ.Media.ImageSequenceWriter.write("shots/", type: :png)
 
-  A folder that holds such a recording already is refused: nothing is overwritten.
+  A folder that already contains such a recording is rejected, so nothing is overwritten.
 
   ## Options
 
@@ -27,7 +35,7 @@ defmodule Situ.Media.ImageSequenceWriter do
   """
   use Situ.Component, inputs: [in: :any], options: @schema
 
-  @doc "Connects the sink to `stream`; returns `stream`, so that it can be used further."
+  @doc "Connects the sink to `stream` and returns `stream`."
   @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def write(stream, folder, opts \\ []) do
     Situ.via(stream, __MODULE__, [folder: folder] ++ opts)
@@ -43,13 +51,13 @@ defmodule Situ.Media.ImageSequenceWriter do
     path = Index.path(folder)
 
     with :ok <- File.mkdir_p(folder),
-         # Exclusive: two recordings in one folder would mix.
+         # Opens exclusively, because two recordings in one folder would mix.
          {:ok, index} <- :file.open(path, [:write, :raw, :exclusive]),
          :ok <- :file.write(index, Index.header()) do
       {[], %{state | index: index}}
     else
       {:error, :eexist} ->
-        raise Error.new(:exists, "#{folder} holds a sequence of pictures already",
+        raise Error.new(:exists, "#{folder} already contains an image sequence",
                 fix: "write into another folder, or delete #{path}"
               )
 
@@ -65,7 +73,7 @@ defmodule Situ.Media.ImageSequenceWriter do
     name = String.pad_leading(Integer.to_string(n), round(opts[:digits]), "0") <> ending
     path = Path.join(opts[:folder], name)
 
-    # The picture first: a line of the index always has its file.
+    # Writes the image first, so that every line of the index has a file.
     with :ok <- File.write(path, bytes, [:raw]),
          :ok <- :file.write(state.index, Index.line(name, message.originating_time)) do
       {[], %{state | count: n}}
@@ -79,7 +87,7 @@ defmodule Situ.Media.ImageSequenceWriter do
   def terminate(_reason, %{index: index}), do: :file.close(index)
 
   @impl true
-  def describe(state), do: "#{state.count} pictures in #{state.opts[:folder]}"
+  def describe(state), do: "#{state.count} images in #{state.opts[:folder]}"
 
   defp encode(%EncodedImage{format: :jpeg, data: bytes}, _opts), do: {".jpg", bytes}
   defp encode(%EncodedImage{format: :png, data: bytes}, _opts), do: {".png", bytes}
@@ -97,7 +105,7 @@ defmodule Situ.Media.ImageSequenceWriter do
   end
 
   defp encode(other, _opts) do
-    raise Error.new(:wrong_data, "not a picture: #{inspect(other, limit: 5)}",
+    raise Error.new(:wrong_data, "expected an image, got: #{inspect(other, limit: 5)}",
             fix: "connect a stream of Situ.Image or Situ.EncodedImage"
           )
   end

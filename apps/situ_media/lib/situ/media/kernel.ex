@@ -1,16 +1,16 @@
 defmodule Situ.Media.Kernel do
   @moduledoc false
-  # The door to the native kernels: chooses the scheduler by the work expected and turns failures into Situ.Error.
+  # Runs native kernels: chooses the scheduler by the expected work and converts failures to Situ.Error.
   #
-  # Below the limit a kernel runs where it is called and its time is charged to the process; above, on a dirty
-  # scheduler, whose hop costs 10 to 20 us when the machine is idle and milliseconds when it is not.
+  # Below the limit, a kernel runs on the calling scheduler and its time is charged to the process. Above the limit it
+  # runs on a dirty scheduler, whose switch costs 10 to 20 us on an idle machine and milliseconds on a busy one.
 
   alias Situ.Error
   alias Situ.Media.{Native, OpenCV}
 
   @inline_limit_us 250
 
-  @doc "A picture kernel of about `us` microseconds."
+  @doc "Runs an image kernel that takes about `us` microseconds."
   @spec picture(tuple(), number()) :: {:ok, term()} | {:error, Error.t()}
   def picture(job, us) do
     result(if(us < @inline_limit_us, do: Native.run(job), else: Native.run_dirty(job)), job)
@@ -18,7 +18,7 @@ defmodule Situ.Media.Kernel do
     error in [ArgumentError, ErlangError] -> refused!(error, job, __STACKTRACE__)
   end
 
-  @doc "A sound kernel of about `us` microseconds."
+  @doc "Runs an audio kernel that takes about `us` microseconds."
   @spec sound(tuple(), number()) :: {:ok, term()} | {:error, Error.t()}
   def sound(job, us) do
     result(
@@ -29,7 +29,7 @@ defmodule Situ.Media.Kernel do
     error in [ArgumentError, ErlangError] -> refused!(error, job, __STACKTRACE__)
   end
 
-  @doc "An OpenCV kernel of about `us` microseconds."
+  @doc "Runs an OpenCV kernel that takes about `us` microseconds."
   @spec opencv(tuple(), number()) :: {:ok, term()} | {:error, Error.t()}
   def opencv(job, us) do
     result(if(us < @inline_limit_us, do: OpenCV.run(job), else: OpenCV.run_dirty(job)), job)
@@ -46,7 +46,8 @@ defmodule Situ.Media.Kernel do
     {:error, Error.new(code, "#{elem(job, 0)}: #{what}")}
   end
 
-  # Arguments that the native side could not even read: a number too large for its type, a list where a number belongs.
+  # Converts errors of arguments that the native side could not decode, such as a number too large for its type, or a
+  # list instead of a number.
   defp refused!(%ArgumentError{}, job, _trace), do: {:error, refused(job)}
 
   defp refused!(%ErlangError{original: "Could not decode field" <> _}, job, _trace),
@@ -55,8 +56,8 @@ defmodule Situ.Media.Kernel do
   defp refused!(error, _job, trace), do: reraise(error, trace)
 
   defp refused(job) do
-    Error.new(:bad_option, "#{elem(job, 0)}: an argument has a wrong type or is out of range",
-      fix: "see the function's documentation for what it takes"
+    Error.new(:bad_option, "#{elem(job, 0)}: an argument has an invalid type or is out of range",
+      fix: "see the function's documentation for its arguments"
     )
   end
 

@@ -6,10 +6,10 @@ defmodule Situ.Media.LiveStream do
     device: [
       type: {:or, [:string, {:tuple, [:module, :string]}]},
       required: true,
-      doc: "A URL, or any device of `Situ.Media.Device` that gives pictures and sound."
+      doc: "A URL, or any device of `Situ.Media.Device` with images and audio."
     ],
-    video: [type: :boolean, default: true, doc: "Take the pictures."],
-    audio: [type: :boolean, default: true, doc: "Take the sound."],
+    video: [type: :boolean, default: true, doc: "Capture the images."],
+    audio: [type: :boolean, default: true, doc: "Capture the audio."],
     size: [
       type: {:optional, {:tuple, [:pos_integer, :pos_integer]}},
       default: nil,
@@ -18,45 +18,47 @@ defmodule Situ.Media.LiveStream do
     rate: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "At most so many pictures a second; `nil`: all."
+      doc: "Maximum images per second; `nil`: all images."
     ],
     format: [type: {:in, Situ.Image.Format.all()}, default: :bgr24, doc: "Pixel format."],
     audio_format: [
       type: {:optional, {:struct, AudioFormat}},
       default: nil,
-      doc: "Convert the sound to this; `nil`: 16-bit samples as sent."
+      doc: "Convert the audio to this format; `nil`: 16-bit samples as sent."
     ],
     audio_buffer: [
       type: :pos_integer,
       default: 20_000_000,
-      doc: "Length of one piece of sound, ns, when `audio_format:` is given."
+      doc: "Length of an audio buffer, ns, if `audio_format:` is given."
     ],
     buffer: [
       type: :pos_integer,
       default: 30,
-      doc: "Messages that may wait for a slow pipeline; then the oldest is dropped."
+      doc:
+        "Number of messages that may wait for a slow pipeline; beyond it the oldest is dropped."
     ],
     reconnect: [
       type: :boolean,
       default: false,
-      doc: "When the stream ends or breaks, try again every second; else the source completes."
+      doc: "Retry every second when the stream ends or breaks; otherwise the source completes."
     ],
     stall_timeout: [
       type: :pos_integer,
       default: 10_000_000_000,
-      doc: "A stream that sends nothing for so long (ns) is broken."
+      doc: "Time without data (ns) after which the stream counts as broken."
     ],
-    args: [type: {:list, :string}, default: [], doc: "More input options for `ffmpeg`."]
+    args: [type: {:list, :string}, default: [], doc: "Additional input options for `ffmpeg`."]
   ]
 
   @moduledoc """
-  A live source with pictures and sound: a network stream, or a simulated device with both.
+  A live source of images and audio: a network stream, or a simulated device with both.
 
       live = Situ.Media.LiveStream.open(p, device: "rtsp://camera.local/stream")
       live.video |> Situ.each(&IO.inspect/1)
 
-  Frames keep the distances the sender gave them; the first gets the pipeline's time when it arrives. Pictures and sound
-  share one clock and stay in step. Like every device it cannot wait: what is not taken in time is dropped and counted.
+  Frames keep the sender's time steps; the first frame is stamped with the pipeline's time when it arrives. Images and
+  audio share one clock and stay synchronized. Like every device, the source cannot wait: data that the pipeline does
+  not take in time is dropped and counted.
 
   ## Options
 
@@ -65,7 +67,7 @@ defmodule Situ.Media.LiveStream do
   use Situ.Component, outputs: [video: Situ.Image, audio: Situ.AudioBuffer], options: @schema
   use Situ.Media.Capture
 
-  @doc "Adds the source; returns `%{video: stream, audio: stream}`, without what was turned off."
+  @doc "Adds the source and returns `%{video: stream, audio: stream}`, without streams that are turned off."
   @spec open(Situ.Pipeline.t(), keyword()) :: %{atom() => Situ.Stream.t()}
   def open(p, opts) do
     {opts, placed} = Placement.split!(opts, @schema, :component)

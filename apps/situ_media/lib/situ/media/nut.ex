@@ -1,10 +1,10 @@
 defmodule Situ.Media.Nut do
   @moduledoc """
-  The vocabulary of NUT, FFmpeg's own container: variable-length numbers, start codes, checksums, time bases.
+  The basic elements of NUT, FFmpeg's own container: variable-length numbers, start codes, checksums and time bases.
 
-  Decoded pictures and sound travel between Situ and the `ffmpeg` program as a NUT stream over a local socket, because
-  NUT keeps every stream's exact time base and can be written and read without seeking. `Situ.Media.Nut.Demuxer`
-  reads it, `Situ.Media.Nut.Muxer` writes it. The format: <https://ffmpeg.org/~michael/nut.txt>.
+  Decoded images and audio are passed between Situ and the `ffmpeg` program as a NUT stream over a local socket, because
+  NUT keeps the exact time base of every stream and can be written and read without seeking. `Situ.Media.Nut.Demuxer`
+  reads it, and `Situ.Media.Nut.Muxer` writes it. For the format, see <https://ffmpeg.org/~michael/nut.txt>.
 
       iex> Situ.Media.Nut.varint(300)
       <<0x82, 0x2C>>
@@ -13,10 +13,10 @@ defmodule Situ.Media.Nut do
   """
   import Bitwise
 
-  @typedoc "Seconds a tick, as a fraction."
+  @typedoc "Seconds per tick, as a fraction."
   @type time_base :: {num :: pos_integer(), den :: pos_integer()}
 
-  @typedoc "One elementary stream: raw pictures of one size, or interleaved samples."
+  @typedoc "One elementary stream: raw images of one size, or interleaved samples."
   @type stream :: %{
           required(:id) => non_neg_integer(),
           required(:class) => :video | :audio | :other,
@@ -53,7 +53,9 @@ defmodule Situ.Media.Nut do
 
   def startcode_name(_), do: :error
 
-  @doc "An unsigned number in groups of 7 bits, most significant first; all but the last have the top bit set."
+  @doc """
+  Encodes an unsigned number in groups of 7 bits, most significant first. All bytes but the last have the top bit set.
+  """
   @spec varint(non_neg_integer()) :: binary()
   def varint(value) when is_integer(value) and value >= 0,
     do: varint(value >>> 7, <<value &&& 127>>)
@@ -72,7 +74,7 @@ defmodule Situ.Media.Nut do
   @spec take_varint(binary()) :: {non_neg_integer(), binary()} | :error
   def take_varint(bytes), do: take_varint(bytes, 0, 0)
 
-  # Ten groups hold 70 bits: more is not a number any writer means.
+  # Ten groups hold 70 bits; no writer produces larger numbers.
   defp take_varint(<<1::1, group::7, rest::binary>>, value, n) when n < 10,
     do: take_varint(rest, value <<< 7 ||| group, n + 1)
 
@@ -80,7 +82,7 @@ defmodule Situ.Media.Nut do
   defp take_varint(_, _value, _n), do: :error
 
   @doc """
-  The signed reading of an unsigned number: 0, 1, -1, 2, -2 ...
+  Decodes a signed number from an unsigned one: 0, 1, -1, 2, -2 ...
 
       iex> Enum.map(0..4, &Situ.Media.Nut.signed/1)
       [0, 1, -1, 2, -2]
@@ -89,12 +91,12 @@ defmodule Situ.Media.Nut do
   def signed(value) when (value &&& 1) == 1, do: (value + 1) >>> 1
   def signed(value), do: -(value >>> 1)
 
-  @doc "Ticks of a time base as nanoseconds, rounded to the nearest."
+  @doc "Converts ticks of a time base to nanoseconds, rounded to the nearest."
   @spec to_ns(integer(), time_base()) :: integer()
   def to_ns(ticks, {num, den}),
     do: Integer.floor_div(ticks * num * 2_000_000_000 + den, 2 * den)
 
-  @doc "Ticks of one time base in ticks of another, rounded down (as syncpoints want it)."
+  @doc "Converts ticks of one time base to ticks of another, rounded down as syncpoints require."
   @spec rescale(integer(), time_base(), time_base()) :: integer()
   def rescale(ticks, {num, den}, {to_num, to_den}),
     do: Integer.floor_div(ticks * num * to_den, den * to_num)
@@ -108,7 +110,9 @@ defmodule Situ.Media.Nut do
           end)
          |> List.to_tuple()
 
-  @doc "The checksum of NUT headers: CRC-32 with polynomial 04C11DB7, most significant bit first, starting at 0."
+  @doc """
+  Computes the checksum of NUT headers: CRC-32 with polynomial 04C11DB7, most significant bit first, starting at 0.
+  """
   @spec crc(binary()) :: non_neg_integer()
   def crc(bytes) do
     for <<byte <- bytes>>, reduce: 0 do

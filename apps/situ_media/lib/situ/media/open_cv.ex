@@ -1,7 +1,7 @@
 defmodule Situ.Media.OpenCV do
   @moduledoc false
-  # Stubs of native/situ_opencv_nif: the kernels that need Debian's libopencv. A library of its own, so that a machine
-  # without OpenCV loses these and nothing else.
+  # Stubs of native/situ_opencv_nif, the kernels that need Debian's libopencv. It is a separate library, so that a
+  # machine without OpenCV loses only these kernels.
 
   @on_load :load
 
@@ -9,7 +9,7 @@ defmodule Situ.Media.OpenCV do
   def load do
     path = :filename.join([:code.priv_dir(:situ_media), "native", "situ_opencv_nif"])
 
-    # Without the library the module still loads, and its functions say :not_loaded.
+    # Without the library the module still loads, and its functions raise :not_loaded.
     case :erlang.load_nif(path, 0) do
       :ok -> :ok
       {:error, {:load_failed, _}} -> :ok

@@ -1,6 +1,6 @@
 defmodule Situ.Media.Pixels do
   @moduledoc false
-  # Names of pixel and sample formats in FFmpeg, and their tags in NUT.
+  # Maps pixel and sample formats to their names in FFmpeg and their tags in NUT.
   alias Situ.{AudioFormat, Image}
 
   # {Situ's name, FFmpeg's name, NUT's tag}

@@ -1,24 +1,25 @@
 defmodule Situ.Media.Recording do
   @moduledoc """
-  Media files as recordings: `Situ.Store.open("talk1.mp4")` has the streams `Video` and `Audio`, and so has everything
-  that opens stores: `bin/situ store info`, the studio, replay in a pipeline.
+  Opens media files as recordings. `Situ.Store.open("talk1.mp4")` has the streams `Video` and `Audio`, and so does every
+  feature that opens stores: `bin/situ store info`, the studio, and replay in a pipeline.
 
       {:ok, store} = Situ.Store.open("talk1.mp4")
       {:ok, message} = Situ.Store.latest_at(store, "Video", Situ.Time.ms(1_500))
       %Situ.Image{width: 1024, height: 512} = message.data
 
-  Every kind of file FFmpeg reads by the endings of `extensions/0`. Times are those of `Situ.Media.VideoFile`: a
-  picture's is when it is shown, a piece of sound (20 ms) has that of its end, and the file begins at its own time
-  (see `Situ.Media.FileTime`) or at the option `start:` (ns; `Situ.Store.open(path, reader_opts: [start: time])`).
+  Supports all files that FFmpeg can read with the extensions of `extensions/0`. Times are defined as in
+  `Situ.Media.VideoFile`: an image has the time at which it is shown, and an audio buffer (20 ms) the time of its end.
+  The file begins at its own time (see `Situ.Media.FileTime`), or at the option `start:`
+  (ns; `Situ.Store.open(path, reader_opts: [start: time])`).
 
-  Opening lists the file's packets and decodes nothing but the first piece of sound (about half a second; longer for
-  hours of film). Pictures are decoded when asked for, in a process for each file that ends by itself: on from the
-  last one, or from the key picture before, and up to 64 MB of them are kept for going back. Files with a key picture
-  every few seconds, as cameras and encoders make them, can be scrubbed well.
+  Opening lists the file's packets and decodes only the first audio buffer, which takes about half a second, or longer
+  for videos of several hours. Images are decoded on request by a process for each file, which ends when it is idle. It
+  continues from the last image or starts at the previous key frame, and caches up to 64 MB of images for stepping back.
+  Files with a key frame every few seconds, as cameras and encoders write them, can be scrubbed well.
 
-  Pictures are `:bgr24`, sound has 16 bits. A damaged file gives what can be read, then the error `:damaged_media`; a
-  last piece of sound that is short of what the file promised is filled up with silence. `size` of a stream is that of
-  its decoded data, `stored` what its packets take.
+  Images are `:bgr24`, and audio has 16 bits. A damaged file returns all readable data, then the error `:damaged_media`.
+  If the last audio buffer is shorter than the file states, it is padded with silence. `size` of a stream is the size of
+  its decoded data, and `stored` is the size of its packets.
   """
   @behaviour Situ.Store.Reader
   import Bitwise
@@ -113,7 +114,7 @@ defmodule Situ.Media.Recording do
   def seek(%{sound: sound} = recording, info, time) do
     frame = AudioFormat.ns_to_frames(sound.format, time - recording.start) - sound.first
     guess = div(max(frame, 0), sound.step)
-    # Rounding can put it one off either way.
+    # Rounding can make the guess off by one in either direction.
     near =
       Enum.find(
         max(guess - 2, 0)..(guess + 2),
@@ -135,7 +136,7 @@ defmodule Situ.Media.Recording do
     end
   end
 
-  # The last message at or before `to`.
+  # Returns the ordinal of the last message at or before `to`.
   defp before(_recording, info, :unbounded), do: info.count - 1
 
   defp before(recording, info, to) do
@@ -175,7 +176,7 @@ defmodule Situ.Media.Recording do
           message(recording, info, at, piece)
         end
 
-      # The messages read so far come first, then the error.
+      # Returns the messages read so far first, and the error with the next read.
       if messages == [] and error,
         do: {:error, error},
         else: {:ok, messages, ordinal + length(messages)}
@@ -220,13 +221,13 @@ defmodule Situ.Media.Recording do
     end
   end
 
-  # The largest power of two that is no wider than a pixel.
+  # Returns the exponent of the largest power of two that is not wider than a pixel.
   defp level(from, to, pixels) do
     width = max(div(to - from, pixels), 1)
     length(Integer.digits(width, 2)) - 1
   end
 
-  # So short a span that its samples are decoded.
+  # Decodes the samples, which is fast enough for a span this short.
   defp points(recording, info, ordinal, to, done) do
     case read(recording, info, ordinal, to, OpenFile.stretch(), []) do
       {:ok, [], _} ->

@@ -7,29 +7,29 @@ defmodule Situ.Media.Speaker do
     device: [
       type: {:or, [:string, {:tuple, [:module, :string]}]},
       default: "pulse:default",
-      doc: "Which speaker, see `Situ.Media.Device`."
+      doc: "The speaker, see `Situ.Media.Device`."
     ],
     latency: [
       type: :pos_integer,
       default: 100_000_000,
-      doc: "Sound the device keeps ahead, ns: less is sooner, more survives a busy machine."
+      doc:
+        "Audio buffered by the device, ns. Smaller values reduce delay, larger ones tolerate a busy machine."
     ],
     gain: [
       type: {:or, [:number, {:tuple, [{:in, [:db]}, :number]}]},
       default: 1.0,
-      doc:
-        "Louder or quieter: a factor, or `{:db, n}`; what gets too loud is cut off at full scale."
+      doc: "Volume as a factor or `{:db, n}`; samples beyond full scale are clipped."
     ]
   ]
 
   @moduledoc """
-  A sink that plays sound.
+  A sink that plays audio.
 
       clip.audio |> Situ.Media.Speaker.play()
 
-  Sound is played as it comes, one piece after the other; the first piece decides the format, a later one of another
-  format reopens the device. The speaker takes sound at the speed it plays: in a pipeline that runs ahead it is the
-  brake. The device's own volume is the sound system's (`pactl set-sink-volume`, `alsamixer`).
+  Audio buffers are played as they arrive, one after the other. The first buffer sets the format; a later buffer with
+  another format reopens the device. The speaker consumes audio at playback speed, so it slows down a pipeline that runs
+  faster than real time. To change the device's own volume, use the sound system (`pactl set-sink-volume`, `alsamixer`).
 
   ## Options
 
@@ -37,14 +37,14 @@ defmodule Situ.Media.Speaker do
   """
   use Situ.Component, inputs: [in: AudioBuffer], options: @schema
 
-  @doc "Connects the speaker to `stream`; returns `stream`, so that it can be used further."
+  @doc "Connects the speaker to `stream` and returns `stream`."
   @spec play(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
   def play(stream, opts \\ []) do
     Situ.via(stream, __MODULE__, opts)
     stream
   end
 
-  @doc "The speakers there are."
+  @doc "Lists the available speakers."
   @spec list() :: [Device.t()]
   def list, do: Enum.filter(Device.list(), &(&1.kind == :speaker))
 
@@ -105,7 +105,7 @@ defmodule Situ.Media.Speaker do
     end
   end
 
-  # Waits until the last sound was played.
+  # Waits until the last buffer was played.
   defp close(%{writer: nil} = state), do: state
 
   defp close(state) do
@@ -115,7 +115,7 @@ defmodule Situ.Media.Speaker do
     end
   end
 
-  # FFmpeg opens a device when it writes what it calls the header.
+  # FFmpeg opens a device when it writes the "header", so an error there means that the device did not open.
   defp unopened(%{meta: %{log: log}} = error, state) do
     if Enum.any?(log, &(&1 =~ "write header")),
       do: Device.unopened(error, state.driver, state.address, :speaker),
@@ -127,6 +127,6 @@ defmodule Situ.Media.Speaker do
   defp can_play(driver, address) do
     if Code.ensure_loaded?(driver) and function_exported?(driver, :playback, 2),
       do: :ok,
-      else: Device.driver_error(address, :bad_option, "this device does not play sound")
+      else: Device.driver_error(address, :bad_option, "this device does not support playback")
   end
 end

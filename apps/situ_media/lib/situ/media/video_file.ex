@@ -4,22 +4,23 @@ defmodule Situ.Media.VideoFile do
 
   @hidden [:loop]
   @schema [
-            path: [type: :string, required: true, doc: "The file."],
+            path: [type: :string, required: true, doc: "Path of the file."],
             start_time: FileTime.option(),
             on_damage: [
               type: {:in, [:error, :warn]},
               default: :error,
-              doc: "After the last readable picture of a damaged file: fail, or log and end well."
+              doc:
+                "After the last readable image of a damaged file: fail, or log a warning and complete."
             ],
             info: [
               type: {:optional, {:struct, FileInfo}},
               default: nil,
-              doc: "The result of `Situ.Media.FileInfo.read/1`; `open/3` fills it in."
+              doc: "The result of `Situ.Media.FileInfo.read/1`; set by `open/3`."
             ]
           ] ++ Keyword.drop(Decoder.options(), @hidden)
 
   @moduledoc """
-  A source that reads a media file: pictures on `:video`, sound on `:audio`, in step, with exact times.
+  A source that reads a media file and emits synchronized images on `:video` and audio on `:audio`, with exact times.
 
       def build(p, _opts) do
         clip = Situ.Media.VideoFile.open(p, "talk1.mp4", size: {640, 320})
@@ -27,12 +28,12 @@ defmodule Situ.Media.VideoFile do
         clip.audio |> Situ.each(&IO.inspect/1)
       end
 
-  Every kind of file FFmpeg reads: MP4, AVI, MKV, WebM, MPEG-TS, MP3, FLAC ... A missing kind of stream is `nil` in
-  what `open/3` returns. The time of a picture is when it is shown, the time of a piece of sound is when it ends; how
-  media time becomes originating time is in `Situ.Media.FileTime`.
+  Supports every file that FFmpeg can read: MP4, AVI, MKV, WebM, MPEG-TS, MP3, FLAC ... If the file has no video or no
+  audio, that stream is `nil` in the result of `open/3`. The time of an image is when it is shown, and the time of an
+  audio buffer is when it ends; `Situ.Media.FileTime` explains how media time becomes originating time.
 
-  It reads on demand, so a pipeline that is slow makes it wait. A damaged or truncated file gives everything that can be
-  read; then the run ends with the error `:damaged_media` (`on_damage: :warn`: it ends well, with a warning in the log).
+  The source reads on demand, so a slow pipeline makes it wait. A damaged or truncated file emits all readable data,
+  and then the run ends with the error `:damaged_media`. With `on_damage: :warn` it completes with a logged warning.
 
   ## Options
 
@@ -45,9 +46,9 @@ defmodule Situ.Media.VideoFile do
   require Logger
 
   @doc """
-  Adds the source to a pipeline. `opts` are the options above and, optionally, `name:` and `on_error:` of the component.
+  Adds the source to a pipeline. `opts` are the options above and the component options `name:` and `on_error:`.
 
-  Returns `%{video: stream | nil, audio: stream | nil}`. Raises `Situ.Error` when the file cannot be read at all.
+  Returns `%{video: stream | nil, audio: stream | nil}`. Raises `Situ.Error` if the file cannot be read.
   """
   @spec open(Situ.Pipeline.t(), Path.t(), keyword()) :: %{
           video: Situ.Stream.t() | nil,
@@ -101,7 +102,7 @@ defmodule Situ.Media.VideoFile do
   @impl true
   def handle_demand(_n, _context, %{decoder: nil} = state), do: {[], state}
 
-  # One at a time, however many are asked for: pictures are large.
+  # Emits one message at a time, whatever the demand, because images are large.
   def handle_demand(_n, _context, state) do
     case Decoder.next(state.decoder) do
       {:eof, decoder} ->
@@ -115,7 +116,7 @@ defmodule Situ.Media.VideoFile do
     end
   end
 
-  # Everything read has been delivered by now; an error before would have cut it short.
+  # All data has been delivered by now; raising the error earlier would have dropped some of it.
   @impl true
   def handle_stop(_final_time, _context, %{damage: nil} = state), do: {[], close(state)}
   def handle_stop(_final_time, _context, %{damage: error}), do: raise(error)
@@ -126,7 +127,7 @@ defmodule Situ.Media.VideoFile do
   @impl true
   def describe(%{info: info, decoder: decoder}) do
     dropped = if decoder, do: decoder.dropped, else: 0
-    "#{info.name} (#{info.format}), #{dropped} pictures with impossible times left out"
+    "#{info.name} (#{info.format}), #{dropped} images with invalid times skipped"
   end
 
   defp emit(kind, time, data, state),
@@ -165,7 +166,7 @@ defmodule Situ.Media.VideoFile do
 
   defp nothing(info) do
     Situ.Error.new(:no_stream, "#{info.name} has nothing to read with these options",
-      fix: "do not turn off both of video: and audio:"
+      fix: "enable at least one of video: and audio:"
     )
   end
 end

@@ -4,22 +4,23 @@ defmodule Situ.Media.VideoWriter do
 
   @wait 2_000_000_000
   @schema [
-            path: [type: :string, required: true, doc: "The file; its ending decides the kind."],
+            path: [type: :string, required: true, doc: "The file; its extension sets the format."],
             expect: [
               type: {:list, {:in, [:video, :audio]}},
               default: [:video, :audio],
-              doc: "The inputs that are connected; `write/3` fills it in."
+              doc: "The connected inputs; set by `write/3`."
             ]
           ] ++ Encoder.options()
 
   @moduledoc """
-  A sink that writes pictures and sound into one media file, in step, every frame at its own time.
+  A sink that writes synchronized images and audio to one media file, each frame at its own time.
 
       Situ.Media.VideoWriter.write([video: clip.video, audio: clip.audio], "copy.mp4")
 
-  The earliest first message becomes the file's time 0, so it waits until every input has spoken (or 2 s of the stream's
-  time have gone by). Originating times are kept: `Situ.Media.VideoFile` gives the same ones back, to the codec's
-  clock (1/90,000 s in MP4, 1 ms in MKV and WebM). Data older than the file's beginning is left out and counted.
+  The earliest first message becomes the file's time 0, so the sink waits until every input has sent a message (or 2 s
+  of stream time have passed). Originating times are kept: `Situ.Media.VideoFile` returns the same times, within the
+  precision of the file format (1/90,000 s in MP4, 1 ms in MKV and WebM). Data before the start of the file is skipped
+  and counted.
 
   ## Options
 
@@ -29,11 +30,12 @@ defmodule Situ.Media.VideoWriter do
 
   require Logger
 
-  # A bound for pictures that wait for the first sound.
+  # Maximum number of images that wait for the first audio buffer.
   @most_held 64
 
   @doc """
-  Connects the sink to one or two streams. `opts` may hold `name:`, `on_error:` and `policy:` besides the options.
+  Connects the sink to one or two streams. Besides the options above, `opts` may contain `name:`, `on_error:` and
+  `policy:`.
   """
   @spec write([video: Situ.Stream.t(), audio: Situ.Stream.t()], Path.t(), keyword()) :: :ok
   def write([{_, _} | _] = streams, path, opts \\ []) do
@@ -86,7 +88,7 @@ defmodule Situ.Media.VideoWriter do
     end
   end
 
-  # Every kind has come, or one has been waiting long enough for the other.
+  # True if every kind has arrived, or one has waited long enough for the other.
   defp ready?(%{seen: seen, held: held, opts: opts}) do
     times = Enum.map(held, &elem(&1, 1))
 

@@ -1,10 +1,10 @@
 defmodule Situ.Media.Wav do
   @moduledoc """
-  The WAV format: reading and writing whole files, and the header as data.
+  Reads and writes complete WAV files.
 
-  Read: PCM of 8, 16, 24 and 32 bits, float of 32 and 64 bits, `WAVE_FORMAT_EXTENSIBLE`, RF64 (files over 4 GB), files
-  that were streamed (no length in the header) and files cut off at any byte. Nothing is allocated by what a header
-  claims: chunks are skipped by seeking, and sound is read in pieces of a size the caller chose.
+  Supports PCM of 8, 16, 24 and 32 bits, float of 32 and 64 bits, `WAVE_FORMAT_EXTENSIBLE`, RF64 (files over 4 GB),
+  streamed files (without a length in the header), and files truncated at any byte. Memory is never allocated by sizes
+  in a header: chunks are skipped by seeking, and audio is read in buffers of a size that the caller sets.
 
       iex> path = Path.join(System.tmp_dir!(), "situ_wav_doctest.wav")
       iex> buffer = Situ.AudioBuffer.from_samples([0, 1, -1], Situ.AudioFormat.pcm(8_000))
@@ -14,14 +14,17 @@ defmodule Situ.Media.Wav do
       iex> File.rm!(path)
       :ok
 
-  In pipelines: `Situ.Media.WavFile` (source) and `Situ.Media.WavWriter` (sink). As a recording:
-  `Situ.Store.open("talk.wav")`. Compressed WAV (A-law, ADPCM, ...) is read by `Situ.Media.VideoFile`, which knows
-  every codec FFmpeg does.
+  For pipelines, use `Situ.Media.WavFile` (source) and `Situ.Media.WavWriter` (sink). To open a file as a recording, use
+  `Situ.Store.open("talk.wav")`. For compressed WAV (A-law, ADPCM, ...), use `Situ.Media.VideoFile`, which supports
+  every codec of FFmpeg.
   """
   alias Situ.{AudioBuffer, Error}
   alias Situ.Media.Wav.{Reader, Writer}
 
-  @doc "The whole file as one buffer. A truncated file is an error here; `Situ.Media.Wav.Reader` gives what there is."
+  @doc """
+  Reads a complete file as one buffer. A truncated file is an error here; `Situ.Media.Wav.Reader` returns its readable
+  part.
+  """
   @spec read(Path.t()) :: {:ok, AudioBuffer.t()} | {:error, Error.t()}
   def read(path) do
     with {:ok, reader} <- Reader.open(path, buffer: 1_000_000_000) do
@@ -42,7 +45,7 @@ defmodule Situ.Media.Wav do
   defp collect({:error, error}, _data, _format), do: {:error, error}
 
   @doc """
-  Writes `buffer` as a WAV file. Option `start_time:` (ns) is kept in the file and found again by `Situ.Media.WavFile`.
+  Writes `buffer` to a WAV file. The option `start_time:` (ns) is stored in the file and read by `Situ.Media.WavFile`.
   """
   @spec write(Path.t(), AudioBuffer.t(), keyword()) :: :ok | {:error, Error.t()}
   def write(path, %AudioBuffer{} = buffer, opts \\ []) do

@@ -4,25 +4,25 @@ defmodule Situ.Media.WavFile do
   alias Situ.Media.Wav.Reader
 
   @schema [
-    path: [type: :string, required: true, doc: "The file."],
-    buffer: [type: :pos_integer, default: 20_000_000, doc: "Length of one piece of sound, ns."],
+    path: [type: :string, required: true, doc: "Path of the file."],
+    buffer: [type: :pos_integer, default: 20_000_000, doc: "Length of an audio buffer, ns."],
     start: [type: :non_neg_integer, default: 0, doc: "Media time to begin at, ns."],
     end: [type: {:optional, :pos_integer}, default: nil, doc: "Media time to end at, ns."],
     start_time: FileTime.option(),
     on_damage: [
       type: {:in, [:error, :warn]},
       default: :error,
-      doc: "At the end of a truncated file: fail, or log and end well."
+      doc: "At the end of a truncated file: fail, or log a warning and complete."
     ]
   ]
 
   @moduledoc """
-  A source that reads a WAV file in pieces; no other program takes part.
+  A source that reads a WAV file in buffers, without an external program.
 
       p |> Situ.Media.WavFile.open("talk.wav") |> Situ.each(&IO.inspect/1)
 
-  The originating time of a piece is the time of its end, exact to the sample. `Situ.Media.Wav` lists the kinds of WAV
-  it reads; `Situ.Media.FileTime` explains how media time becomes originating time.
+  The originating time of a buffer is the time of its end, exact to the sample. `Situ.Media.Wav` lists the supported
+  kinds of WAV; `Situ.Media.FileTime` explains how media time becomes originating time.
 
   ## Options
 
@@ -32,10 +32,10 @@ defmodule Situ.Media.WavFile do
 
   require Logger
 
-  # Pieces handed over at once.
+  # Maximum number of buffers emitted per demand.
   @batch 16
 
-  @doc "Adds the source and returns its stream; raises `Situ.Error` when the file cannot be read."
+  @doc "Adds the source and returns its stream. Raises `Situ.Error` if the file cannot be read."
   @spec open(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def open(p, path, opts \\ []) do
     {opts, placed} = Placement.split!([path: path] ++ opts, @schema, :component)
@@ -69,7 +69,7 @@ defmodule Situ.Media.WavFile do
   def handle_demand(_n, _context, %{reader: nil} = state), do: {[], state}
   def handle_demand(n, _context, state), do: read(min(n, @batch), [], state)
 
-  # Everything read has been delivered by now; an error before would have cut it short.
+  # All data has been delivered by now; raising the error earlier would have dropped some of it.
   @impl true
   def handle_stop(_final_time, _context, %{damage: nil} = state), do: {[], close(state)}
   def handle_stop(_final_time, _context, %{damage: error}), do: raise(error)

@@ -3,18 +3,18 @@ defmodule Situ.Media.WavWriter do
   alias Situ.Media.Wav.Writer
 
   @schema [
-    path: [type: :string, required: true, doc: "The file to write; an existing one is replaced."],
+    path: [type: :string, required: true, doc: "The file to write; an existing file is replaced."],
     fill_gaps: [
       type: :boolean,
       default: false,
       doc:
-        "Write silence where the stream has a gap of more than 1 ms, so that the file keeps its time."
+        "Fill gaps of more than 1 ms with silence, so that positions in the file match stream times."
     ]
   ]
 
   @moduledoc """
-  A sink that writes sound into a WAV file. The first piece decides the format; its beginning becomes the file's start
-  time, which `Situ.Media.WavFile` finds again.
+  A sink that writes audio to a WAV file. The first buffer sets the format, and its start becomes the file's start time,
+  which `Situ.Media.WavFile` reads.
 
       stream |> Situ.Media.WavWriter.write("out.wav")
 
@@ -24,10 +24,10 @@ defmodule Situ.Media.WavWriter do
   """
   use Situ.Component, inputs: [in: AudioBuffer], options: @schema
 
-  # Longer gaps are the end of one recording and the start of another: the file would fill with silence.
+  # Longer gaps separate two recordings, and filling them would fill the file with silence.
   @longest_gap 3_600_000_000_000
 
-  @doc "Connects the sink to `stream`; returns `stream`, so that it can be used further."
+  @doc "Connects the sink to `stream` and returns `stream`."
   @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def write(stream, path, opts \\ []) do
     Situ.via(stream, __MODULE__, [path: path] ++ opts)
@@ -74,7 +74,7 @@ defmodule Situ.Media.WavWriter do
     end
   end
 
-  # A second at a time: an hour of many channels would be gigabytes.
+  # Writes one second at a time, because an hour of many channels would be gigabytes.
   defp silence(%{format: format} = writer, frames) do
     second = AudioBuffer.silence(format, format.rate)
     rest = AudioBuffer.silence(format, rem(frames, format.rate))
@@ -92,8 +92,8 @@ defmodule Situ.Media.WavWriter do
   defp too_long(path, gap) do
     Situ.Error.new(
       :gap_too_long,
-      "a gap of #{Situ.Time.format_duration(gap)} in the sound for #{Path.basename(path)}",
-      why: "fill_gaps: would write that much silence; an hour is the most",
+      "gap of #{Situ.Time.format_duration(gap)} in the audio for #{Path.basename(path)}",
+      why: "fill_gaps: writes at most one hour of silence",
       fix: "write one file per recording"
     )
   end

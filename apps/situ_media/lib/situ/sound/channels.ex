@@ -1,15 +1,16 @@
 defmodule Situ.Sound.Channels do
   @moduledoc """
-  Channels, gain and sample types of one buffer. Call them through `Situ.Sound`.
+  Converts channels, gain and sample types of a buffer. Call these functions through `Situ.Sound`.
 
-  All are one kernel: every output channel is a weighted sum of input channels, rounded to the nearest and clipped.
+  All operations use one kernel: every output channel is a weighted sum of input channels, rounded to the nearest value
+  and clipped.
   """
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Media.Kernel
 
   @doc """
-  In another sample type and number of channels, same rate. One channel becomes several by copying, several become one
-  by their mean; any other change needs `remix/3`.
+  Converts a buffer to another sample type and number of channels at the same rate. One channel is copied to several,
+  and several channels are averaged to one. All other changes need `remix/3`.
 
       iex> stereo = Situ.AudioBuffer.from_samples([100, 300], Situ.AudioFormat.pcm(16_000, 2))
       iex> {:ok, mono} = Situ.Sound.reformat(stereo, channels: 1, sample: :s32)
@@ -30,13 +31,13 @@ defmodule Situ.Sound.Channels do
 
   defp spread(from, to) do
     {:error,
-     Error.new(:bad_option, "how to make #{inspect(to)} channels of #{from} is not obvious",
+     Error.new(:bad_option, "cannot convert #{from} channels to #{inspect(to)} without a matrix",
        fix: "use remix/3 with a matrix of gains, or select_channels/2"
      )}
   end
 
   @doc """
-  Mixed by a matrix: one list for each output channel, of gains for the input channels. `sample:` as in `reformat/2`.
+  Mixes channels by a matrix with one list of input gains for each output channel. For `sample:`, see `reformat/2`.
 
       iex> stereo = Situ.AudioBuffer.from_samples([1, 2, 3, 4], Situ.AudioFormat.pcm(16_000, 2))
       iex> {:ok, swapped} = Situ.Sound.remix(stereo, [[0, 1], [1, 0]])
@@ -73,7 +74,7 @@ defmodule Situ.Sound.Channels do
   end
 
   @doc """
-  The channels with these numbers (0 is the first), in this order.
+  Selects the channels with these numbers (0 is the first), in this order.
 
       iex> stereo = Situ.AudioBuffer.from_samples([1, 2, 3, 4], Situ.AudioFormat.pcm(16_000, 2))
       iex> Situ.Sound.select_channels!(stereo, [1]) |> Situ.AudioBuffer.to_samples()
@@ -87,13 +88,13 @@ defmodule Situ.Sound.Channels do
         remix(buffer, matrix)
 
       missing ->
-        what = "there is no channel #{inspect(missing)} among #{format.channels}"
+        what = "unknown channel #{inspect(missing)}: the buffer has #{format.channels} channels"
         {:error, Error.new(:bad_option, what, fix: "channels are counted from 0")}
     end
   end
 
   @doc """
-  Louder or quieter: `gain` is a factor, `{:db, n}` decibels.
+  Changes the volume. `gain` is a factor, or `{:db, n}` in decibels.
 
       iex> buffer = Situ.AudioBuffer.from_samples([100, 30_000], Situ.AudioFormat.pcm())
       iex> Situ.Sound.gain!(buffer, 2) |> Situ.AudioBuffer.to_samples()
@@ -111,7 +112,8 @@ defmodule Situ.Sound.Channels do
   end
 
   @doc """
-  Two buffers of one format added, the second times `gain:` (default 1.0); the longer one's tail is kept.
+  Adds two buffers of the same format, the second multiplied by `gain:` (default 1.0). The tail of the longer one is
+  kept.
 
       iex> format = Situ.AudioFormat.pcm()
       iex> {a, b} = {Situ.AudioBuffer.from_samples([1, 2], format), Situ.AudioBuffer.from_samples([10], format)}
@@ -132,11 +134,11 @@ defmodule Situ.Sound.Channels do
 
   def mix(%AudioBuffer{} = a, %AudioBuffer{} = b, _opts) do
     what = "cannot mix #{inspect(a.format)} and #{inspect(b.format)}"
-    {:error, Error.new(:bad_audio, what, fix: "reformat and resample one of them first")}
+    {:error, Error.new(:bad_audio, what, fix: "reformat or resample one buffer first")}
   end
 
   @doc """
-  How loud: peak and root mean square, 1.0 is full scale.
+  Measures the level as peak and root mean square, where 1.0 is full scale.
 
       iex> buffer = Situ.AudioBuffer.from_samples([16_384, -16_384], Situ.AudioFormat.pcm())
       iex> {:ok, level} = Situ.Sound.level(buffer)
@@ -153,7 +155,7 @@ defmodule Situ.Sound.Channels do
   end
 
   @doc false
-  # A kernel cannot return a result that is not a number, so such a failure comes from the samples.
+  # A kernel cannot return NaN or infinity as a number, so this failure is caused by the samples.
   @spec name_bad_samples({:ok, term()} | {:error, Error.t()}, AudioBuffer.t(), String.t()) ::
           {:ok, term()} | {:error, Error.t()}
   def name_bad_samples({:error, %Error{code: :bad_option} = error}, buffer, operation) do
@@ -164,15 +166,15 @@ defmodule Situ.Sound.Channels do
       sample ->
         {:error,
          Error.new(:bad_audio, "#{operation}: sample #{sample} is not a number",
-           why: "the sound contains NaN or infinity, for example after a division by zero",
-           fix: "fix the source of the sound; samples of #{buffer.format.sample} are -1.0 to 1.0"
+           why: "the audio contains NaN or infinity, for example after a division by zero",
+           fix: "fix the source of the audio; samples of #{buffer.format.sample} are -1.0 to 1.0"
          )}
     end
   end
 
   def name_bad_samples(result, _buffer, _operation), do: result
 
-  # The number of the first sample that matches no float.
+  # Returns the index of the first sample that does not match a float.
   defp not_a_number(<<_::float-little-32, rest::binary>>, :f32, n),
     do: not_a_number(rest, :f32, n + 1)
 
@@ -183,7 +185,7 @@ defmodule Situ.Sound.Channels do
   defp not_a_number(_data, _sample, _n), do: nil
 
   @doc """
-  The waveform, as `Situ.AudioBuffer.points/2` gives it, made by a kernel: for whole films.
+  Computes the waveform like `Situ.AudioBuffer.points/2`, but in a native kernel that is fast enough for complete files.
 
       iex> buffer = Situ.AudioBuffer.from_samples([0, 16384, -16384], Situ.AudioFormat.pcm(2000))
       iex> Situ.Sound.points(buffer, 1_500_000)
@@ -208,7 +210,7 @@ defmodule Situ.Sound.Channels do
   def layout(%AudioFormat{} = format), do: {format.sample, format.channels}
 
   @doc false
-  # About 3 ns a sample.
+  # Estimates about 3 ns per sample.
   @spec cost(AudioBuffer.t()) :: float()
   def cost(%AudioBuffer{} = buffer),
     do: byte_size(buffer.data) / AudioFormat.bytes_per_sample(buffer.format) * 0.003

@@ -1,20 +1,21 @@
 defmodule Situ.Media.Capture.Clock do
   @moduledoc false
-  # Turns the times of a capture into originating times. A fixed clock adds one offset. A sender's clock is set to the
-  # pipeline's clock when its first frames arrive, and set again when it jumps: a sender that restarts begins at zero.
+  # Converts the times of a capture to originating times. A fixed clock adds one offset. A sender's clock is
+  # synchronized with the pipeline's clock when its first frames arrive, and again when it jumps: a restarted sender
+  # begins at zero.
   #
-  # FFmpeg's muxer cannot write times that go back: it replaces them by the last time and one tick. So a filter marks
-  # each jump backwards by adding a step that no real clock makes (`mark_jumps/0`), and this module subtracts it again.
+  # FFmpeg's muxer cannot write times that go back and replaces them by the last time plus one tick. Therefore a filter
+  # marks each backward jump by adding a step that no real clock makes (`mark_jumps/0`), and this module subtracts it.
   # Both streams of a sender share its clock: the time between two jumps is an epoch with one offset.
 
-  # One step of the mark, in seconds and in nanoseconds: 115 days.
+  # The step of the mark in seconds and nanoseconds (115 days).
   @step_s 10_000_000
   @step @step_s * 1_000_000_000
-  # How long the delay of a sender is measured before its first frame is let through.
+  # The time for which the delay of a sender is measured before its first frame is passed on.
   @settle 300_000_000
-  # A sender's clock that runs ahead of the pipeline's by more than this, at once, has jumped.
+  # A sender's clock that suddenly runs ahead of the pipeline's by more than this has jumped.
   @ahead 500_000_000
-  # The other stream has the same clock if its frames come this near to where that clock expects them.
+  # The other stream shares the clock if its frames are this close to the expected time.
   @same_clock 2_000_000_000
 
   defstruct [:fixed, streams: %{}, epochs: %{}]
@@ -27,20 +28,20 @@ defmodule Situ.Media.Capture.Clock do
           epochs: %{integer() => epoch()}
         }
 
-  @doc "Returns a clock that adds `offset`, or for `nil` the clock of a sender."
+  @doc "Builds a clock that adds `offset`, or a sender's clock if `offset` is `nil`."
   @spec new(integer() | nil) :: t()
   def new(offset), do: %__MODULE__{fixed: offset}
 
-  @doc "Returns the expression for FFmpeg's filters `setpts` and `asetpts` that marks jumps backwards."
+  @doc "Returns the expression for FFmpeg's filters `setpts` and `asetpts` that marks backward jumps."
   @spec mark_jumps() :: String.t()
   def mark_jumps,
     do: "'st(0,ld(0)+lt(PTS-PREV_INPTS,-0.5/TB));PTS+ld(0)*round(#{@step_s}/TB)'"
 
   @doc """
-  Places a frame of the stream `kind` with the time `out`, which arrives at `now`.
+  Computes the originating time of a frame of the stream `kind` with the time `out` that arrives at `now`.
 
-  Returns its originating time, `:wait` while the sender's delay is measured (the frame is left out: the sender's
-  backlog comes in a burst), or `:jump` for the first frame after the clock jumped by `by` nanoseconds.
+  Returns the time, `:wait` while the sender's delay is measured (the frame is skipped because the sender's backlog
+  arrives in a burst), or `:jump` for the first frame after the clock jumped by `by` nanoseconds.
   """
   @spec place(t(), atom(), integer(), Situ.Time.t()) ::
           {:ok, Situ.Time.t(), t()} | {:wait, t()} | {:jump, by :: integer(), t()}
@@ -63,7 +64,7 @@ defmodule Situ.Media.Capture.Clock do
     end
   end
 
-  # A sender has one clock, so its second stream joins the first one's, however late it begins.
+  # A sender has one clock, so its second stream joins the epoch of the first, however late it begins.
   defp place_first(%{epochs: epochs} = clock, kind, stream, now) when map_size(epochs) == 0,
     do: {:wait, clock |> put_stream(kind, stream) |> begin_epoch(0, stream.raw, now)}
 
@@ -89,7 +90,7 @@ defmodule Situ.Media.Capture.Clock do
     %{clock | epochs: Map.put(kept, number, {:settling, now + @settle, now - raw})}
   end
 
-  # The smallest delay during the first moments sets the clock.
+  # The smallest delay measured before `until` sets the clock.
   defp read_time(clock, kind, now) do
     %{epoch: number, raw: raw} = Map.fetch!(clock.streams, kind)
 

@@ -17,7 +17,7 @@ defmodule Situ.Media.Capture.StallWatch do
     %__MODULE__{timeout: timeout, streams: streams}
   end
 
-  @doc "Notes that a frame arrived `now`; `time` is its originating time, or `nil` if it has none yet."
+  @doc "Records that a frame arrived at `now`. `time` is its originating time, or `nil` if it has none yet."
   @spec note(t(), atom(), Situ.Time.t() | nil, Situ.Time.t()) :: t()
   def note(%__MODULE__{} = watch, kind, time, now) do
     seen = %{Map.fetch!(watch.streams, kind) | arrived: now}

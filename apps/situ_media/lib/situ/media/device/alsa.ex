@@ -1,7 +1,7 @@
 defmodule Situ.Media.Device.Alsa do
   @moduledoc """
   Microphones and speakers of the Linux kernel (ALSA): `alsa:default`, `alsa:hw:0,0`, `alsa:plughw:CARD=PCH,DEV=0`.
-  Only sound cards are listed; names from `.asoundrc` work too. Times are wall time.
+  Lists only sound cards; names from `.asoundrc` work too. Times are wall time.
   """
   @behaviour Situ.Media.Device
   alias Situ.Media.Device
@@ -23,19 +23,19 @@ defmodule Situ.Media.Device.Alsa do
   end
 
   def capture(address, _kind, _opts),
-    do: Device.driver_error(address, :bad_option, "a microphone gives sound only")
+    do: Device.driver_error(address, :bad_option, "a microphone provides audio only")
 
   @impl true
   def playback(address, _opts), do: {:ok, ["-f", "alsa", address]}
 
   @impl true
   def help(kind) do
-    "`situ devices #{kind}s` lists what there is; a card that is there and does not open belongs to the group " <>
-      "audio, or to another program (pulse:default shares it)"
+    "list the available devices with `situ devices #{kind}s`; if the card is listed, add your user to the group " <>
+      "audio, or close the other program that uses it (pulse:default shares the card)"
   end
 
   @doc """
-  The cards in what `arecord -l` prints.
+  Parses the output of `arecord -l`.
 
       iex> text = "card 1: PCH [HDA Intel PCH], device 0: ALC256 Analog [ALC256 Analog]\\n"
       iex> for d <- Situ.Media.Device.Alsa.parse(text, :speaker), do: {d.id, d.name}

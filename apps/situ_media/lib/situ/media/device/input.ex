@@ -1,9 +1,9 @@
 defmodule Situ.Media.Device.Input do
   @moduledoc """
-  Any other input device of FFmpeg: `lavfi:testsrc=size=640x480:rate=30` (a test picture), `x11grab::0.0` (the
-  screen), or with `args:` anything at all (`input:NAME` and `args: ["-f", FORMAT]`).
+  All other input devices of FFmpeg: `lavfi:testsrc=size=640x480:rate=30` (a test image), `x11grab::0.0` (the
+  screen), or any other input with `args:` (`input:NAME` and `args: ["-f", FORMAT]`).
 
-  The first frame gets the pipeline's time when it arrives; what comes later keeps its distance to it.
+  The first frame is stamped with the pipeline's time when it arrives; later frames keep their distance to it.
   """
   @behaviour Situ.Media.Device
 

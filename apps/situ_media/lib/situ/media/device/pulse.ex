@@ -1,6 +1,6 @@
 defmodule Situ.Media.Device.Pulse do
   @moduledoc """
-  Microphones and speakers of PulseAudio (or PipeWire, which speaks its protocol): `pulse:default`, `pulse:NAME`.
+  Microphones and speakers of PulseAudio (or PipeWire, which implements its protocol): `pulse:default`, `pulse:NAME`.
   Times are wall time, smoothed over the device's own clock.
   """
   @behaviour Situ.Media.Device
@@ -12,7 +12,7 @@ defmodule Situ.Media.Device.Pulse do
   @impl true
   def capture(address, :microphone, opts) do
     format = opts[:audio_format]
-    # Half a piece of sound at a time, so that a piece is complete soon after its end.
+    # Requests half a buffer at a time, so that a buffer is complete soon after its end.
     fragment =
       max(
         div(
@@ -32,7 +32,7 @@ defmodule Situ.Media.Device.Pulse do
   end
 
   def capture(address, _kind, _opts),
-    do: Device.driver_error(address, :bad_option, "a microphone gives sound only")
+    do: Device.driver_error(address, :bad_option, "a microphone provides audio only")
 
   @impl true
   def playback(address, opts) do
@@ -52,12 +52,12 @@ defmodule Situ.Media.Device.Pulse do
 
   @impl true
   def help(kind) do
-    "`situ devices #{kind}s` lists what there is; none: start PulseAudio or PipeWire for this user, or name a " <>
-      "device of another driver (alsa:default)"
+    "list the available devices with `situ devices #{kind}s`; if there are none, start PulseAudio or PipeWire for " <>
+      "this user, or use a device of another driver (alsa:default)"
   end
 
   @doc """
-  The devices in what `ffmpeg -sources pulse` prints.
+  Parses the output of `ffmpeg -sources pulse`.
 
       iex> text = "Auto-detected sources for pulse:\\n* virt.monitor [Monitor of Null Output] (none)\\n  mic [Mic]\\n"
       iex> for d <- Situ.Media.Device.Pulse.parse(text, :microphone), do: {d.id, d.name, d.default?}

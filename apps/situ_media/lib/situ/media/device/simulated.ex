@@ -1,10 +1,11 @@
 defmodule Situ.Media.Device.Simulated do
   @moduledoc """
-  A camera and a microphone that replay a file in real time, over and over: `simulated:talk1.mp4`. Everything can be
-  tried without hardware.
+  A camera and a microphone that replay a file in real time, in a loop: `simulated:talk1.mp4`. With it, pipelines can be
+  tested without hardware.
 
-  Media time 0 is the pipeline's start, so a simulated camera and a simulated microphone of the same file are in step.
-  `?once` at the end of the address plays it once, then the source completes: `simulated:talk1.mp4?once`.
+  Media time 0 is the pipeline's start, so a simulated camera and a simulated microphone of the same file are
+  synchronized. With `?once` at the end of the address (`simulated:talk1.mp4?once`) the file is played once, and then
+  the source completes.
   """
   @behaviour Situ.Media.Device
   alias Situ.Media.{Device, FFmpeg}
@@ -24,7 +25,7 @@ defmodule Situ.Media.Device.Simulated do
       args = ["-re" | loop] ++ (opts[:args] || []) ++ FFmpeg.local_file(path)
       {:ok, %{args: args, clock: :start, ends?: loop == []}}
     else
-      Device.driver_error(path, :no_file, "there is no such file to simulate a device with")
+      Device.driver_error(path, :no_file, "cannot simulate a device: the file does not exist")
     end
   end
 end

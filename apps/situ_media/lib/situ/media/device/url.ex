@@ -1,13 +1,14 @@
 defmodule Situ.Media.Device.Url do
   @moduledoc """
-  Streams from the network that FFmpeg reads: RTSP cameras, UDP and RTP, SRT, HTTP, RTMP.
+  Network streams that FFmpeg can read: RTSP cameras, UDP and RTP, SRT, HTTP, RTMP.
 
-  The sender's clock is kept between frames (exact steps); the first frame gets the pipeline's time when it arrives.
+  The exact time steps of the sender's clock are kept between frames. The first frame is stamped with the pipeline's
+  time when it arrives.
   """
   @behaviour Situ.Media.Device
   alias Situ.Media.Device
 
-  # Not `file:`, `concat:` or `subfile:`: a URL means the network.
+  # Excludes `file:`, `concat:` and `subfile:`, because a URL must refer to the network.
   @schemes ~w(rtsp rtsps rtp udp tcp srt http https rtmp rtmps rtmpt hls mmsh mmst)
 
   @impl true
@@ -23,12 +24,12 @@ defmodule Situ.Media.Device.Url do
       Device.driver_error(
         url,
         :bad_option,
-        "not a network address FFmpeg reads: #{Enum.join(@schemes, ", ")}"
+        "the scheme of a network stream must be one of #{Enum.join(@schemes, ", ")}"
       )
     end
   end
 
-  # Frames are wanted soon, and a short look at the stream is enough to know it.
+  # Minimizes the delay; a short analysis is enough to identify the stream.
   defp options("rtsp" <> _), do: ~w(-rtsp_transport tcp -fflags nobuffer -flags low_delay)
   defp options(_scheme), do: ~w(-fflags nobuffer -flags low_delay -analyzeduration 1000000)
 end

@@ -1,19 +1,19 @@
 defmodule Situ.Media.Device.V4L2 do
   @moduledoc """
-  Cameras of the Linux kernel (Video4Linux): `v4l2:/dev/video0`. Times are stamped by the kernel when the picture was
-  taken, as wall time.
+  Cameras of the Linux kernel (Video4Linux): `v4l2:/dev/video0`. The kernel stamps each image with the wall time at
+  which it was taken.
   """
   @behaviour Situ.Media.Device
   alias Situ.Media.Device
 
   @impl true
   def help(kind) do
-    "`situ devices #{kind}s` lists what there is; a camera that is there and does not open belongs to the group " <>
-      "video, or to another program"
+    "list the available devices with `situ devices #{kind}s`; if the camera is listed, add your user to the group " <>
+      "video, or close the other program that uses it"
   end
 
   @doc """
-  The sizes and rates in the listing of `v4l2-ctl --list-formats-ext`.
+  Parses sizes and rates from the output of `v4l2-ctl --list-formats-ext`.
 
       iex> Situ.Media.Device.V4L2.modes(\"\"\"
       ...> [0]: 'MJPG' (Motion-JPEG, compressed)
@@ -45,7 +45,8 @@ defmodule Situ.Media.Device.V4L2 do
   end
 
   @typedoc """
-  `min`, `max`, `step` and `default` are nil where the device does not say; a menu's `value` is the number of its row.
+  `min`, `max`, `step` and `default` are `nil` if the device does not report them. The `value` of a menu is the number
+  of its row.
   """
   @type control :: %{
           name: String.t(),
@@ -57,12 +58,12 @@ defmodule Situ.Media.Device.V4L2 do
           value: integer() | nil
         }
 
-  @doc "The controls of the camera at `path`; empty if there is no camera, or no `v4l2-ctl`."
+  @doc "Lists the controls of the camera at `path`, or `[]` without a camera or without `v4l2-ctl`."
   @spec controls(Path.t()) :: [control()]
   def controls(path), do: parse_controls(Device.run("v4l2-ctl", ["-d", path, "--list-ctrls"]))
 
   @doc """
-  The controls in the listing of `v4l2-ctl --list-ctrls`.
+  Parses the output of `v4l2-ctl --list-ctrls`.
 
       iex> Situ.Media.Device.V4L2.parse_controls(\"\"\"
       ...> User Controls
@@ -96,7 +97,7 @@ defmodule Situ.Media.Device.V4L2 do
     end
   end
 
-  # Set before the camera is opened; a control that it does not have is an error, not a surprise.
+  # Controls are set before the camera is opened, so that an unknown control is reported as an error.
   defp set(_path, []), do: :ok
 
   defp set(path, controls) do
@@ -113,7 +114,7 @@ defmodule Situ.Media.Device.V4L2 do
         Device.driver_error(
           path,
           :no_v4l2_ctl,
-          "controls are set by v4l2-ctl: apt-get install v4l-utils"
+          "setting controls needs v4l2-ctl: apt-get install v4l-utils"
         )
 
       {why, _} ->
@@ -125,7 +126,7 @@ defmodule Situ.Media.Device.V4L2 do
   def list do
     for path <- Enum.sort(Path.wildcard("/sys/class/video4linux/video*")),
         device = "/dev/" <> Path.basename(path),
-        # A camera has several nodes; those without pictures (metadata) list no format.
+        # A camera has several nodes; nodes without images (metadata) list no format.
         modes = modes(Device.run("v4l2-ctl", ["-d", device, "--list-formats-ext"])),
         modes != [] or System.find_executable("v4l2-ctl") == nil do
       %Device{id: "v4l2:" <> device, kind: :camera, name: name(path), modes: modes}
@@ -151,10 +152,15 @@ defmodule Situ.Media.Device.V4L2 do
   end
 
   def capture(address, :camera, _opts),
-    do: Device.driver_error(address, :bad_option, "a camera's address is a path like /dev/video0")
+    do:
+      Device.driver_error(
+        address,
+        :bad_option,
+        "the address of a camera must be a path like /dev/video0"
+      )
 
   def capture(address, _kind, _opts),
-    do: Device.driver_error(address, :bad_option, "a camera gives pictures only")
+    do: Device.driver_error(address, :bad_option, "a camera provides images only")
 
   defp join({width, height}), do: "#{width}x#{height}"
 

@@ -1,12 +1,12 @@
 defmodule Situ.Media.Encoder.Arguments do
   @moduledoc false
-  # The arguments for ffmpeg's output: pure, from the encoder's checked options.
+  # Builds the output arguments for ffmpeg from the encoder's validated options. Pure.
   alias Situ.{Error, Media.FileInfo}
 
   @codecs [h264: "libx264", h265: "libx265", vp9: "libvpx-vp9", mpeg4: "mpeg4", mjpeg: "mjpeg"]
   @sounds [aac: "aac", opus: "libopus", mp3: "libmp3lame", flac: "flac", pcm: "pcm_s16le"]
 
-  # {video codec, sound codec} of each kind of file. Matroska cannot express the lead-in of AAC, so it gets FLAC.
+  # {video codec, audio codec} of each extension. Matroska cannot represent the lead-in of AAC, so it uses FLAC.
   @mp4 [".mp4", ".m4v", ".mov", ".m4a"]
   @kinds %{
     ".mp4" => {:h264, :aac},
@@ -30,7 +30,7 @@ defmodule Situ.Media.Encoder.Arguments do
   @spec sounds() :: [atom()]
   def sounds, do: Keyword.keys(@sounds)
 
-  @doc "The kind of file that a name asks for, and its codecs."
+  @doc "Returns the file format for the extension, with its codecs."
   @spec kind(Path.t(), keyword()) :: {:ok, kind()} | {:error, Error.t()}
   def kind(path, opts) do
     ending = path |> Path.extname() |> String.downcase()
@@ -45,17 +45,19 @@ defmodule Situ.Media.Encoder.Arguments do
 
       _ ->
         {:error,
-         Error.new(:bad_option, "cannot tell what kind of file #{inspect(path)} should be",
+         Error.new(:bad_option, "unknown file format: #{inspect(path)}",
            fix:
-             "end its name in one of " <> (@kinds |> Map.keys() |> Enum.sort() |> Enum.join(" "))
+             "use one of the extensions " <>
+               (@kinds |> Map.keys() |> Enum.sort() |> Enum.join(" "))
          )}
     end
   end
 
   defp sound_only(path),
-    do: Error.new(:bad_option, "#{Path.basename(path)} cannot hold pictures", fix: "name it .mp4")
+    do:
+      Error.new(:bad_option, "#{Path.basename(path)} cannot contain images", fix: "name it .mp4")
 
-  @doc "Everything after the input: codecs, quality, tags and the file."
+  @doc "Builds all arguments after the input: codecs, quality, tags and the file."
   @spec build(Path.t(), kind(), Situ.Image.t() | nil, keyword()) :: [String.t()]
   def build(path, kind, video, opts) do
     ~w(-threads #{opts[:threads]}) ++
@@ -66,13 +68,13 @@ defmodule Situ.Media.Encoder.Arguments do
 
   defp video_options(video, %{video: codec} = kind, opts) do
     rate = if opts[:bitrate], do: ~w(-b:v #{opts[:bitrate]}), else: quality(codec, opts[:quality])
-    # Frames keep their own times, in ticks of a clock that divides every usual rate.
+    # Frames keep their own times, in ticks of a clock that is divisible by every common rate.
     ~w(-c:v #{@codecs[codec]} -fps_mode passthrough -enc_time_base 1:90000) ++
       last_frame(kind, opts) ++
       rate ++ effort(codec, opts[:preset]) ++ key_frames(opts) ++ pixels(video, codec)
   end
 
-  # An MP4 player leaves a frame out that lasts no time.
+  # An MP4 player skips a frame of duration 0.
   defp last_frame(%{ending: ending}, opts) when ending in @mp4,
     do: ["-bsf:v", "setts=pts=PTS:dts=DTS:duration=#{opts[:last_frame] / 1.0e9}/TB"]
 
@@ -80,7 +82,7 @@ defmodule Situ.Media.Encoder.Arguments do
 
   defp quality(codec, quality) when codec in [:h264, :h265], do: ~w(-crf #{quality})
   defp quality(:vp9, quality), do: ~w(-crf #{quality} -b:v 0)
-  # A scale of its own, 1 (best) to 31.
+  # Other codecs use a separate scale from 1 (best) to 31.
   defp quality(_codec, quality), do: ~w(-q:v #{max(div(quality * 31, 51), 1)})
 
   defp effort(codec, preset) when codec in [:h264, :h265], do: ~w(-preset #{preset})
@@ -92,7 +94,7 @@ defmodule Situ.Media.Encoder.Arguments do
     ["-force_key_frames", "expr:gte(t,n_forced*#{seconds})"]
   end
 
-  # Half-resolution colour, which every player knows, needs even sizes.
+  # Half-resolution color, which every player supports, needs even sizes.
   defp pixels(%{width: w, height: h}, codec) do
     pad =
       if rem(w, 2) == 1 or rem(h, 2) == 1,
@@ -104,7 +106,7 @@ defmodule Situ.Media.Encoder.Arguments do
 
   defp audio_options(codec, opts) do
     rate = if codec in [:aac, :opus, :mp3], do: ~w(-b:a #{opts[:audio_bitrate]}), else: []
-    # Gaps in the sound are filled with silence, so that it stays in step with the pictures.
+    # Fills gaps in the audio with silence, so that it stays synchronized with the images.
     ~w(-c:a #{@sounds[codec]} -af aresample=async=1:min_hard_comp=0.04:first_pts=0) ++ rate
   end
 

@@ -1,7 +1,7 @@
 defmodule Situ.Media.FFmpeg.Log do
   @moduledoc false
-  # ffmpeg's error output: the first lines are kept, the rest only counted (a damaged file can give thousands), and
-  # turned into one `Situ.Error`.
+  # Collects ffmpeg's error output and converts it to one `Situ.Error`. The first lines are kept and the rest is only
+  # counted, because a damaged file can cause thousands.
   alias Situ.Error
 
   @keep 12
@@ -21,7 +21,7 @@ defmodule Situ.Media.FFmpeg.Log do
     end
   end
 
-  @doc "Takes every line of `port` that has arrived."
+  @doc "Receives all lines of `port` that have arrived."
   @spec drain(t(), port()) :: t()
   def drain(log, port) do
     receive do
@@ -37,7 +37,7 @@ defmodule Situ.Media.FFmpeg.Log do
   @spec empty?(t()) :: boolean()
   def empty?(%__MODULE__{count: count}), do: count == 0
 
-  @doc "One error out of what was said about `name`."
+  @doc "Builds one error from the collected lines."
   @spec to_error(t(), atom(), String.t(), keyword()) :: Error.t()
   def to_error(%__MODULE__{} = log, code, what, details \\ []) do
     meta = Map.merge(%{log: lines(log), log_lines: log.count}, Map.new(details[:meta] || []))
@@ -48,10 +48,10 @@ defmodule Situ.Media.FFmpeg.Log do
 
   defp why(%{count: count} = log) do
     first = log |> lines() |> Enum.take(2) |> Enum.join("; ")
-    "FFmpeg says: " <> first <> if(count > 2, do: " (and #{count - 2} more)", else: "")
+    "FFmpeg reports: " <> first <> if(count > 2, do: " (and #{count - 2} more)", else: "")
   end
 
-  # "[mov,mp4 @ 0x55f3] [error] moov atom not found": addresses and levels mean nothing to people.
+  # Removes addresses and levels, as in "[mov,mp4 @ 0x55f3] [error] moov atom not found".
   defp clean(line) do
     line
     |> valid()

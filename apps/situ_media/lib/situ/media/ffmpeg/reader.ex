@@ -1,21 +1,21 @@
 defmodule Situ.Media.FFmpeg.Reader do
   @moduledoc """
-  A process that runs one `ffmpeg` and hands out the frames it decodes, one when asked for one.
+  A process that runs one `ffmpeg` and returns its decoded frames one by one on request.
 
-  Nothing is read ahead: what nobody asked for stays in the socket, and `ffmpeg` waits. Frames carry media time in
-  nanoseconds (`Situ.Media.Nut.Demuxer`).
+  Nothing is read ahead: frames that are not requested stay in the socket, and `ffmpeg` waits. Frames carry media time
+  in nanoseconds (`Situ.Media.Nut.Demuxer`).
 
       {:ok, reader} = Situ.Media.FFmpeg.Reader.start_link(
         args: Situ.Media.FFmpeg.local_file("talk.mp4") ++ ~w(-c:v rawvideo -pix_fmt bgr24 -an), name: "talk.mp4")
       {:ok, streams} = Situ.Media.FFmpeg.Reader.streams(reader)
       {:ok, %{stream: 0, time: 0, data: pixels}} = Situ.Media.FFmpeg.Reader.next(reader)
 
-  Pull with `next/2`, or let the reader push: after `ask(reader, n)` the owner gets up to `n` messages
-  `{Situ.Media.FFmpeg.Reader, reader, result}` with `result` one of `{:streams, streams}` (first, costs nothing),
-  `{:frame, frame}`, `:eof`, `{:error, error}`.
+  Pull frames with `next/2`, or let the reader push them: after `ask(reader, n)` the owner receives up to `n` messages
+  `{Situ.Media.FFmpeg.Reader, reader, result}`. `result` is `{:streams, streams}` (sent first, and not counted),
+  `{:frame, frame}`, `:eof` or `{:error, error}`.
 
-  The end is `:eof` when `ffmpeg` was content, otherwise `{:error, error}`: after everything readable was handed out,
-  with what `ffmpeg` complained about.
+  The last result is `:eof` if `ffmpeg` reported no errors. Otherwise it is `{:error, error}` with the messages of
+  `ffmpeg`, after all readable frames were returned.
   """
   use GenServer, restart: :temporary, shutdown: 1_000
 
@@ -30,16 +30,16 @@ defmodule Situ.Media.FFmpeg.Reader do
       required: true,
       doc: "Input and output options, without the output."
     ],
-    name: [type: :string, required: true, doc: "The input's name, for errors."],
+    name: [type: :string, required: true, doc: "Name of the input, for errors."],
     connect_timeout: [
       type: {:or, [:pos_integer, :atom]},
       default: 30_000,
-      doc: "How long opening may take, ms, or `:infinity`."
+      doc: "Maximum time to open the input, ms, or `:infinity`."
     ],
     stall_timeout: [
       type: {:or, [:pos_integer, :atom]},
       default: :infinity,
-      doc: "How long to wait for more of one frame, ms."
+      doc: "Maximum time to wait for more data of a frame, ms."
     ]
   ]
 
@@ -61,7 +61,7 @@ defmodule Situ.Media.FFmpeg.Reader do
   @type result :: {:ok, Demuxer.frame()} | :eof | {:error, Error.t()}
 
   @doc """
-  Starts `ffmpeg` and the process that reads from it, linked to the caller, who is its owner.
+  Starts `ffmpeg` and the process that reads from it. The process is linked to the caller, which becomes its owner.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -73,19 +73,19 @@ defmodule Situ.Media.FFmpeg.Reader do
     end
   end
 
-  @doc "The streams in what is read; waits until `ffmpeg` has opened it."
+  @doc "Waits until `ffmpeg` has opened the input, and returns its streams."
   @spec streams(pid(), timeout()) :: {:ok, map()} | {:error, Error.t()}
   def streams(reader, timeout \\ 60_000), do: GenServer.call(reader, :streams, timeout)
 
-  @doc "The next frame; waits for it."
+  @doc "Waits for the next frame and returns it."
   @spec next(pid(), timeout()) :: result()
   def next(reader, timeout \\ 60_000), do: GenServer.call(reader, :next, timeout)
 
-  @doc "Lets the reader send `n` more frames to its owner."
+  @doc "Requests `n` more frames as messages to the owner."
   @spec ask(pid(), pos_integer()) :: :ok
   def ask(reader, n) when n > 0, do: GenServer.cast(reader, {:ask, n})
 
-  @doc "Ends the reader and its `ffmpeg` at once, even in the middle of a frame."
+  @doc "Stops the reader and its `ffmpeg` immediately, even in the middle of a frame."
   @spec stop(pid()) :: :ok
   def stop(reader) do
     Process.unlink(reader)
@@ -146,7 +146,7 @@ defmodule Situ.Media.FFmpeg.Reader do
   def handle_info({port, {:data, {_eol, line}}}, %{port: port} = state),
     do: {:noreply, %{state | log: Log.add(state.log, line)}}
 
-  # Its output still waits in the socket: the end of that is the end.
+  # Its remaining output is still in the socket, so reading continues until the end of the output.
   def handle_info({port, {:exit_status, status}}, %{port: port} = state),
     do: {:noreply, %{state | status: status}}
 
@@ -163,7 +163,7 @@ defmodule Situ.Media.FFmpeg.Reader do
     end
   end
 
-  # A single call may ask for at most 64 MiB.
+  # A single `recv` call can read at most 64 MiB.
   @largest 67_108_864
 
   defp receive_bytes(socket, n, timeout) when n <= @largest, do: :gen_tcp.recv(socket, n, timeout)
@@ -223,14 +223,14 @@ defmodule Situ.Media.FFmpeg.Reader do
 
   defp verdict(:timeout, _status, state) do
     {:error,
-     Log.to_error(state.log, :media_stalled, "#{state.name} sends nothing any more",
+     Log.to_error(state.log, :media_stalled, "#{state.name} stopped sending data",
        why: "no data for #{state.stall} ms"
      )}
   end
 
   defp verdict(reason, status, state) do
     {:error,
-     Log.to_error(state.log, :damaged_media, "#{state.name} is damaged or ends too early",
+     Log.to_error(state.log, :damaged_media, "#{state.name} is damaged or truncated",
        meta: [status: status, reason: reason]
      )}
   end
@@ -267,7 +267,7 @@ defmodule Situ.Media.FFmpeg.Reader do
     %{state | log: Log.drain(state.log, state.port)}
   end
 
-  # The program may end at any moment, and its port with it.
+  # The program, and with it its port, may end at any moment.
   defp close_port(port) do
     Port.close(port)
   rescue

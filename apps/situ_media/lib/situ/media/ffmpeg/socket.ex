@@ -1,12 +1,13 @@
 defmodule Situ.Media.FFmpeg.Socket do
   @moduledoc false
-  # A local (Unix) socket for one ffmpeg: listen in a folder only this user may enter, accept once, remove the folder.
+  # A local (Unix) socket for one ffmpeg. It listens in a folder that only this user can enter, accepts one connection,
+  # and removes the folder.
 
   defstruct [:listen, :folder, :path]
 
   @type t :: %__MODULE__{listen: :gen_tcp.socket(), folder: Path.t(), path: Path.t()}
 
-  # An address of a local socket has room for 107 bytes: "/situ-media-", a random name of 20, and "/s" take 34.
+  # The address of a local socket is limited to 107 bytes: "/situ-media-", a random name of 20 bytes, and "/s" take 34.
   @longest_parent 107 - 34
 
   @spec listen(keyword()) :: {:ok, t()} | {:error, Situ.Error.t()}
@@ -25,19 +26,19 @@ defmodule Situ.Media.FFmpeg.Socket do
 
       {:error, reason} ->
         {:error,
-         Situ.Error.new(:no_socket, "cannot make a local socket: #{inspect(reason)}",
-           fix: "set TMPDIR to a folder that can be written, with a short path"
+         Situ.Error.new(:no_socket, "cannot create a local socket: #{inspect(reason)}",
+           fix: "set TMPDIR to a writable folder with a short path"
          )}
     end
   end
 
-  @doc "The address as ffmpeg wants it."
+  @doc "Returns the address in ffmpeg's syntax."
   @spec url(t()) :: String.t()
   def url(%__MODULE__{path: path}), do: "unix:" <> path
 
   @doc """
-  Waits until ffmpeg connects, or ends (`{:error, {:exit, status}}`), or `timeout` ms are over. `drain` is called
-  between, to take the program's messages.
+  Waits until ffmpeg connects, exits (`{:error, {:exit, status}}`), or `timeout` ms have passed. Calls `drain`
+  repeatedly to receive the program's messages.
   """
   @spec accept(t(), port(), timeout(), state, (state -> state)) ::
           {{:ok, :gen_tcp.socket()} | {:error, term()}, state}

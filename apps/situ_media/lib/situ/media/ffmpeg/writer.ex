@@ -1,6 +1,6 @@
 defmodule Situ.Media.FFmpeg.Writer do
   @moduledoc """
-  A process that runs one `ffmpeg` fed with raw frames: an encoder, a loudspeaker.
+  A process that runs one `ffmpeg` and feeds it raw frames, for encoders and speakers.
 
       {:ok, writer} = Situ.Media.FFmpeg.Writer.start_link(
         streams: [%{id: 0, class: :video, fourcc: <<"BGR", 24>>, width: 640, height: 480}],
@@ -8,8 +8,8 @@ defmodule Situ.Media.FFmpeg.Writer do
       :ok = Situ.Media.FFmpeg.Writer.write(writer, 0, 40_000_000, pixels)
       :ok = Situ.Media.FFmpeg.Writer.finish(writer)
 
-  `write/4` waits while `ffmpeg` is behind (a picture or so is on its way), so a slow encoder slows its pipeline down.
-  When the writer ends without `finish/2`, `ffmpeg` still sees the end of its input and finishes the file.
+  `write/4` waits while `ffmpeg` is busy (about one image is in flight), so a slow encoder slows its pipeline down. If
+  the writer ends without `finish/2`, `ffmpeg` still sees the end of its input and finishes the file.
   """
   use GenServer, restart: :temporary, shutdown: 1_000
 
@@ -20,25 +20,25 @@ defmodule Situ.Media.FFmpeg.Writer do
 
   @schema [
     streams: [type: {:list, :map}, required: true, doc: "See `Situ.Media.Nut.Muxer`."],
-    args: [type: {:list, :string}, required: true, doc: "Output options and the output."],
-    name: [type: :string, required: true, doc: "The output's name, for errors."],
+    args: [type: {:list, :string}, required: true, doc: "Output options, and the output."],
+    name: [type: :string, required: true, doc: "Name of the output, for errors."],
     buffer: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "Bytes that may wait in the socket; small for low latency."
+      doc: "Maximum bytes that wait in the socket; use a small value for low latency."
     ],
     bound: [
       type: :boolean,
       default: false,
       doc: "Kill `ffmpeg` when the writer ends (devices), instead of letting it finish (files)."
     ],
-    connect_timeout: [type: :pos_integer, default: 30_000, doc: "How long starting may take, ms."]
+    connect_timeout: [type: :pos_integer, default: 30_000, doc: "Maximum time to start, ms."]
   ]
 
   defstruct [:port, :socket, :name, :failed, log: %Log{}]
 
   @doc """
-  Starts `ffmpeg` and the process that feeds it, linked to the caller.
+  Starts `ffmpeg` and the process that feeds it. The process is linked to the caller.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -50,7 +50,7 @@ defmodule Situ.Media.FFmpeg.Writer do
     end
   end
 
-  @doc "Hands over one frame of stream `id` at `time` ns (0 or more); waits while `ffmpeg` is behind."
+  @doc "Writes one frame of stream `id` at `time` ns (0 or more), and waits while `ffmpeg` is busy."
   @spec write(pid(), non_neg_integer(), non_neg_integer(), binary(), timeout()) ::
           :ok | {:error, Error.t()}
   def write(writer, id, time, data, timeout \\ :infinity),
@@ -96,7 +96,7 @@ defmodule Situ.Media.FFmpeg.Writer do
   end
 
   def handle_call({:finish, timeout}, _from, state) do
-    # Unsent frames are flushed before the socket closes.
+    # This flushes unsent frames before the socket closes.
     :ok = :gen_tcp.shutdown(state.socket, :write)
 
     case exit_status(state, timeout) do
@@ -113,7 +113,7 @@ defmodule Situ.Media.FFmpeg.Writer do
     do: {:noreply, fail(state, status)}
 
   defp connect(state, socket, program, opts) do
-    # The input's header describes it completely: no guessing, no delay.
+    # The header describes the input completely, so ffmpeg does not have to probe it, which would cause a delay.
     input = ~w(-copyts -probesize 32 -analyzeduration 0 -fpsprobesize 0 -f nut -i)
     args = FFmpeg.global_options() ++ input ++ [Socket.url(socket) | opts[:args]]
     port = FFmpeg.start(program, args, bound: opts[:bound])
@@ -132,7 +132,7 @@ defmodule Situ.Media.FFmpeg.Writer do
   defp fail(state, status), do: %{state | failed: error(state, status)}
 
   defp error(state, :timeout),
-    do: Log.to_error(state.log, :media_timeout, "#{state.name} was not finished in time")
+    do: Log.to_error(state.log, :media_timeout, "writing #{state.name} timed out")
 
   defp error(state, status),
     do:

@@ -1,6 +1,6 @@
 defmodule Situ.Media.ImageSequence.Index do
   @moduledoc """
-  The times of a folder of pictures: `times.csv`, one line per file with its originating time in nanoseconds.
+  The times of a folder of images: `times.csv`, with one line per file and its originating time in nanoseconds.
 
       file,originating_time
       000001.jpg,1700000000000000000
@@ -11,7 +11,7 @@ defmodule Situ.Media.ImageSequence.Index do
   @name "times.csv"
   @header "file,originating_time"
 
-  @doc "The index of a folder."
+  @doc "Returns the path of a folder's index."
   @spec path(Path.t()) :: Path.t()
   def path(folder), do: Path.join(folder, @name)
 
@@ -23,7 +23,7 @@ defmodule Situ.Media.ImageSequence.Index do
   @spec line(String.t(), Situ.Time.t()) :: String.t()
   def line(file, time), do: "#{file},#{time}\n"
 
-  @doc "Times and files; times must strictly increase and files lie in the same folder."
+  @doc "Reads times and files. Times must strictly increase, and all files must be in the index's folder."
   @spec read(Path.t()) :: {:ok, [{Situ.Time.t(), Path.t()}]} | {:error, Error.t()}
   def read(path) do
     with {:ok, text} <- File.read(path),
@@ -33,7 +33,7 @@ defmodule Situ.Media.ImageSequence.Index do
     else
       {:error, %Error{} = error} -> {:error, error}
       {:error, reason} -> bad(path, to_string(:file.format_error(reason)))
-      {:ok, []} -> bad(path, "it lists no file")
+      {:ok, []} -> bad(path, "the index contains no files")
       _ -> bad(path, "its first line is not #{inspect(@header)}")
     end
   end
@@ -42,7 +42,7 @@ defmodule Situ.Media.ImageSequence.Index do
 
   defp parse([line | rest], folder, shots) do
     with [file, time] <- String.split(line, ","),
-         # A name, not a way out of the folder.
+         # Only a plain name is allowed, because a path could leave the folder.
          true <- file != "" and Path.basename(file) == file,
          {time, ""} <- Integer.parse(time),
          true <- shots == [] or time > elem(hd(shots), 0) do

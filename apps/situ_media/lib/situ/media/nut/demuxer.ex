@@ -1,14 +1,14 @@
 defmodule Situ.Media.Nut.Demuxer do
   @moduledoc """
-  Reads a NUT stream frame by frame from a function that gives exactly the bytes asked for.
+  Reads a NUT stream frame by frame from a function that returns the exact number of bytes requested.
 
-  The reading function is asked for small headers byte by byte and for each payload in one go, so a payload read from a
-  socket is the one binary the socket allocated: no copies.
+  The demuxer reads small headers byte by byte and each payload in one call, so a payload from a socket is the binary
+  that the socket allocated, without copies.
 
       {:ok, demuxer} = Situ.Media.Nut.Demuxer.open(fn n -> :gen_tcp.recv(socket, n) end)
       {:ok, %{stream: 0, time: 40_000_000, data: pixels}, demuxer} = Situ.Media.Nut.Demuxer.next(demuxer)
 
-  Nothing is believed: every length is bounded (`:max_frame`, 512 MiB unless told), checksums of headers are checked.
+  Input is not trusted: every length is limited (`:max_frame`, default 512 MiB), and header checksums are verified.
   """
   import Bitwise
   alias Situ.Media.Nut
@@ -27,7 +27,7 @@ defmodule Situ.Media.Nut.Demuxer do
   ]
 
   @type read :: (pos_integer() -> {:ok, binary()} | {:error, term()})
-  @typedoc "`time` in nanoseconds; `ticks` the same in the stream's own time base."
+  @typedoc "`time` is in nanoseconds; `ticks` is the same time in the stream's own time base."
   @type frame :: %{
           stream: non_neg_integer(),
           time: integer(),
@@ -39,7 +39,7 @@ defmodule Situ.Media.Nut.Demuxer do
   @max_header 1_048_576
   @bits Map.new(Headers.flags())
 
-  @doc "Reads the headers. `{:error, :eof}` when the stream ends before the first header."
+  @doc "Reads the headers. Returns `{:error, :eof}` if the stream ends before the first header."
   @spec open(read(), max_frame: pos_integer()) :: {:ok, t()} | {:error, term()}
   def open(read, opts \\ []) when is_function(read, 1) do
     demuxer = struct!(%__MODULE__{read: read}, opts)
@@ -50,11 +50,11 @@ defmodule Situ.Media.Nut.Demuxer do
     end
   end
 
-  @doc "The streams, by number; times of frames are nanoseconds already."
+  @doc "Returns the streams by number. The times of frames are already in nanoseconds."
   @spec streams(t()) :: %{non_neg_integer() => Nut.stream()}
   def streams(%__MODULE__{streams: streams}), do: streams
 
-  @doc "The next frame; `{:error, :eof}` at the end, `{:error, reason}` if the stream is malformed."
+  @doc "Returns the next frame, `{:error, :eof}` at the end, or `{:error, reason}` if the stream is malformed."
   @spec next(t()) :: {:ok, frame(), t()} | {:error, term()}
   def next(%__MODULE__{} = demuxer) do
     with {:ok, <<code>>} <- read(demuxer, 1), do: frame_or_packet(code, demuxer)
@@ -73,7 +73,7 @@ defmodule Situ.Media.Nut.Demuxer do
     end
   end
 
-  # Headers up to the first syncpoint (there is one before the first frame).
+  # Reads headers up to the first syncpoint, which precedes the first frame.
   defp headers(demuxer) do
     with {:ok, startcode} <- read(demuxer, 8),
          {:ok, demuxer} <- packet(startcode, demuxer) do
@@ -188,7 +188,7 @@ defmodule Situ.Media.Nut.Demuxer do
     end
   end
 
-  # Only the low bits of a time are written when they say it all.
+  # A writer stores only the low bits of a time if they are unambiguous.
   defp pts(coded, _last, shift) when coded >= 1 <<< shift, do: coded - (1 <<< shift)
 
   defp pts(coded, last, shift) do

@@ -1,6 +1,6 @@
 defmodule Situ.Media.Nut.Headers do
   @moduledoc false
-  # The bodies of NUT's header packets as data. Pure; the demuxer reads the packets and checks their checksums.
+  # Parses the bodies of NUT's header packets. Pure; the demuxer reads the packets and verifies their checksums.
   alias Situ.Media.Nut
 
   @flags [
@@ -20,25 +20,28 @@ defmodule Situ.Media.Nut.Headers do
 
   @type reason :: {:bad_header, term()}
 
-  @doc "The bits of a frame's flags, by name."
+  @doc "Returns the bits of a frame's flags by name."
   @spec flags() :: keyword(pos_integer())
   def flags, do: @flags
 
-  @doc "The main header: time bases, the meaning of each frame's first byte, elided beginnings, how many streams."
+  @doc """
+  Parses the main header: the time bases, the meaning of each frame's first byte, the elided prefixes, and the number of
+  streams.
+  """
   @spec main(binary()) :: {:ok, map()} | {:error, reason()}
   def main(body), do: guarded(fn -> parse_main(body) end)
 
-  @doc "A stream's header."
+  @doc "Parses the header of a stream."
   @spec stream(binary(), pos_integer(), tuple()) :: {:ok, Nut.stream()} | {:error, reason()}
   def stream(body, count, time_bases),
     do: guarded(fn -> parse_stream(body, count, time_bases) end)
 
-  @doc "A syncpoint: the time of each stream there, in its own ticks."
+  @doc "Parses a syncpoint and returns the time of each stream in its own ticks."
   @spec syncpoint(binary(), tuple(), map()) :: {:ok, map()} | {:error, reason()}
   def syncpoint(body, time_bases, streams),
     do: guarded(fn -> parse_syncpoint(body, time_bases, streams) end)
 
-  # The parsers below throw at the first impossible number.
+  # The parsers below throw at the first invalid number.
   defp guarded(fun) do
     {:ok, fun.()}
   catch
@@ -74,7 +77,7 @@ defmodule Situ.Media.Nut.Headers do
     {{num, den}, body}
   end
 
-  # Runs of frame codes: what a frame's first byte says of flags, stream, time and size.
+  # Parses runs of frame codes, which define the flags, stream, time and size for each value of a frame's first byte.
   defp frame_codes(codes, 256, _kept, body), do: {Enum.reverse(codes), body}
 
   defp frame_codes(codes, n, {pts, mul, stream, index}, body) do
@@ -102,12 +105,12 @@ defmodule Situ.Media.Nut.Headers do
     }
 
     {codes, next} = fill(codes, n, run, code)
-    # A run of nothing would never end the table.
+    # An empty run would make the loop endless.
     if next == n, do: throw({:bad_header, :frame_codes})
     frame_codes(codes, next, {pts, mul, stream, index}, body)
   end
 
-  # Byte "N" begins start codes, so it is never a frame and not counted in a run.
+  # The byte "N" begins start codes, so it never begins a frame and runs do not count it.
   defp fill(codes, ?N, run, code),
     do: fill([%{code | flags: @flags[:invalid]} | codes], ?N + 1, run, code)
 

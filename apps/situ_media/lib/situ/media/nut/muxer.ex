@@ -1,7 +1,7 @@
 defmodule Situ.Media.Nut.Muxer do
   @moduledoc """
-  Writes a NUT stream: `header/1` once, then `frame/4` for each picture or piece of sound, each as iodata with the
-  payload left whole.
+  Writes a NUT stream: `header/1` once, then `frame/3` for each image or audio buffer. Both return iodata in which the
+  payload is not copied.
 
   All times are nanoseconds and must not be negative.
 
@@ -16,8 +16,8 @@ defmodule Situ.Media.Nut.Muxer do
   """
   alias Situ.Media.Nut
 
-  # Headers say "a frame may lie this far from a syncpoint" and "frames larger than twice this carry a checksum";
-  # every frame here carries one.
+  # Headers state the maximum distance of a frame from a syncpoint, and frames larger than twice this distance need a
+  # checksum. Every frame here has one.
   @max_distance 65_535
   @shift 7
   @key 1
@@ -40,7 +40,7 @@ defmodule Situ.Media.Nut.Muxer do
               channels: pos_integer()
             }
 
-  @doc "File id, main header and one header per stream. The first frame's syncpoint ends the headers."
+  @doc "Encodes the file id, the main header and one header per stream. The first frame's syncpoint ends the headers."
   @spec header([stream(), ...]) :: iodata()
   def header(streams) do
     [
@@ -50,10 +50,10 @@ defmodule Situ.Media.Nut.Muxer do
     ]
   end
 
-  @doc "One frame of stream `id` at `time` (nanoseconds, 0 or more)."
+  @doc "Encodes one frame of stream `id` at `time` (nanoseconds, 0 or more)."
   @spec frame(non_neg_integer(), non_neg_integer(), binary()) :: iodata()
   def frame(id, time, data) when is_integer(time) and time >= 0 do
-    # A whole time is told apart from its low bits by the offset of 2^shift.
+    # An offset of 2^shift distinguishes a complete time from its low bits.
     head =
       IO.iodata_to_binary([
         @frame_code,
@@ -62,8 +62,8 @@ defmodule Situ.Media.Nut.Muxer do
         v(byte_size(data))
       ])
 
-    # A reader wants a syncpoint every 64 KiB; one before each frame is 30 bytes. Two in a row would make FFmpeg look
-    # for its place again, which it can do in a socket only by luck.
+    # A reader requires a syncpoint every 64 KiB; one before each frame costs 30 bytes. Two in a row would make FFmpeg
+    # resynchronize, which works in a socket only by chance.
     [packet(:syncpoint, [v(time), v(0)]), head, <<Nut.crc(head)::32>>, data]
   end
 
@@ -72,9 +72,9 @@ defmodule Situ.Media.Nut.Muxer do
       v(3),
       v(count),
       v(@max_distance),
-      # One time base for all: nanoseconds.
+      # All streams share one time base: nanoseconds.
       [v(1), v(1), v(1_000_000_000)],
-      # Frame code 0 is invalid, 1 to 255 are one kind of frame whose every field is written out.
+      # Frame code 0 is invalid; codes 1 to 255 define one kind of frame with all fields written out.
       [v(8192), v(6), v(0), v(1), v(0), v(0), v(0), v(1)],
       [v(@frame_flags), v(6), v(0), v(1), v(0), v(0), v(0), v(254)],
       # No elided headers.

@@ -1,8 +1,7 @@
 defmodule Situ.Media.Recording.Host do
   @moduledoc false
-  # One process for the pictures and one for the sound of every media file somebody reads at the moment. They are
-  # started when first asked and end after a while without a question, so that opening a file leaves nothing to be
-  # closed.
+  # Runs one process for the images and one for the audio of every media file that is currently read. They are started
+  # on the first request and end when idle, so that an opened file does not have to be closed.
 
   alias Situ.Error
 
@@ -17,14 +16,14 @@ defmodule Situ.Media.Recording.Host do
     ]
   end
 
-  @doc "Asks the process of `module` that reads this recording."
+  @doc "Sends a request to the process of `module` that reads this recording, and starts it if necessary."
   @spec ask(module(), Situ.Media.Recording.OpenFile.t(), term()) :: term()
   def ask(module, recording, question, tries \\ 3) do
     with {:ok, pid} <- find(module, recording) do
       try do
         GenServer.call(pid, question, :infinity)
       catch
-        # It was just about to end.
+        # The process was about to end.
         :exit, {reason, _} when reason in [:normal, :noproc] and tries > 1 ->
           ask(module, recording, question, tries - 1)
       end
@@ -34,7 +33,7 @@ defmodule Situ.Media.Recording.Host do
   defp find(module, recording) do
     key = {module, recording.path, recording.version, recording.print}
 
-    # Unlike a lookup, this leaves out a process that has ended a moment ago.
+    # Unlike a lookup, this ignores a process that has just ended.
     case Registry.whereis_name({@registry, key}) do
       :undefined -> start(module, recording, key)
       pid -> {:ok, pid}

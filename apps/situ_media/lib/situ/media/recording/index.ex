@@ -1,9 +1,10 @@
 defmodule Situ.Media.Recording.Index do
   @moduledoc """
-  Where every picture and the sound of a media file lie, found by reading its packets without decoding them.
+  An index of the images and the audio of a media file, built by reading its packets without decoding them.
 
-  `pictures` and `keys` are packed numbers: the times of all pictures (media time, ns, increasing) and the ordinals of
-  those a decoder can begin with. Two hours at 24 pictures a second take 1.4 MB, shared by all who hold them.
+  `pictures` and `keys` are packed numbers: the times of all images (media time, ns, increasing), and the ordinals of
+  the images at which a decoder can start. Two hours at 24 images per second take 1.4 MB, shared by all processes that
+  hold them.
 
       iex> index = %Situ.Media.Recording.Index{
       ...>   pictures: <<0::64, 40::64, 80::64, 120::64>>, keys: <<0::32, 2::32>>}
@@ -28,12 +29,12 @@ defmodule Situ.Media.Recording.Index do
         }
 
   @seconds 120
-  # Ten years: no time in a file is beyond.
+  # Ten years, which is longer than any real media file.
   @longest 315_360_000_000_000_000
   @packets "format=start_time:stream=index,time_base:packet=stream_index,pts,dts,duration,size,flags"
   @frames "frame=best_effort_timestamp,key_frame"
 
-  @doc "Reads the packets of the file. Gives up after two minutes."
+  @doc "Builds the index from the packets of the file. Gives up after two minutes."
   @spec read(Path.t(), FileInfo.t()) :: {:ok, t()} | {:error, Error.t()}
   def read(path, %FileInfo{} = info) do
     new = Packets.new(info.video && info.video.index, info.audio && info.audio.index)
@@ -43,8 +44,8 @@ defmodule Situ.Media.Recording.Index do
     end
   end
 
-  # Some old containers (AVI, MPEG-PS) leave out times, and only a decoder can tell which picture comes when. Where that
-  # takes too long, the order of the packets has to do.
+  # Some old containers (AVI, MPEG-PS) omit times, and only a decoder knows the order of the images. If decoding takes
+  # too long, the order of the packets is used.
   defp frames(path, info, packets) do
     args = ["-select_streams", "#{info.video.index}", "-show_entries", @frames]
 
@@ -60,7 +61,7 @@ defmodule Situ.Media.Recording.Index do
         entries ++ FFmpeg.local_file(path)
 
     case System.cmd("timeout", args, env: [], into: into) do
-      # The packets that ffprobe listed can be read, even if it failed at the end.
+      # The packets that ffprobe listed are usable, even if it failed at the end.
       {packets, status} when status not in [124, 137] -> {:ok, packets}
       {_, _} -> {:error, unreadable(info)}
     end
@@ -89,7 +90,7 @@ defmodule Situ.Media.Recording.Index do
     }
   end
 
-  # MP4 and its kin say exactly how long the sound is; others are believed packet by packet.
+  # MP4 and related formats state the exact audio length; in other formats the packets are used.
   defp sound_end(%{audio: nil}, _ticks, _base, _zero), do: nil
 
   defp sound_end(%{format: "mov" <> _, audio: %{duration: stated}}, _ticks, _base, _zero)
@@ -101,35 +102,35 @@ defmodule Situ.Media.Recording.Index do
 
   defp sound_end(_info, _ticks, _base, _zero), do: 0
 
-  # As ffmpeg's `-start_at_zero` does it: the file's start, in microseconds, rounded to the stream's ticks.
+  # Shifts like ffmpeg's `-start_at_zero`: by the file's start in microseconds, rounded to the stream's ticks.
   defp time(ticks, {num, den} = base, zero) do
     shift = Integer.floor_div(2 * zero * den + num * 1_000_000, 2 * num * 1_000_000)
     Nut.to_ns(ticks - shift, base)
   end
 
   defp unreadable(info) do
-    Error.new(:unreadable_media, "cannot list what is in #{info.name}",
+    Error.new(:unreadable_media, "cannot list the packets of #{info.name}",
       why: "FFmpeg found no packets in it, or took longer than #{@seconds} s",
-      fix: "check that the file is whole: ffprobe #{info.name}"
+      fix: "check that the file is complete: ffprobe #{info.name}"
     )
   end
 
-  @doc "How many pictures there are."
+  @doc "Returns the number of images."
   @spec count(t()) :: non_neg_integer()
   def count(index), do: div(byte_size(index.pictures), 8)
 
-  @doc "The media time of a picture."
+  @doc "Returns the media time of an image."
   @spec time(t(), non_neg_integer()) :: Situ.Time.t()
   def time(index, ordinal) do
     <<time::64>> = binary_part(index.pictures, ordinal * 8, 8)
     time
   end
 
-  @doc "The first picture at or after a media time; the count when there is none."
+  @doc "Returns the ordinal of the first image at or after a media time, or the count if there is none."
   @spec seek(t(), integer()) :: non_neg_integer()
   def seek(index, time), do: search(&(time(index, &1) >= time), 0, count(index))
 
-  @doc "The picture whose time is nearest."
+  @doc "Returns the ordinal of the image whose time is nearest."
   @spec nearest(t(), integer()) :: non_neg_integer()
   def nearest(index, time) do
     case seek(index, time) do
@@ -145,7 +146,7 @@ defmodule Situ.Media.Recording.Index do
     end
   end
 
-  @doc "The last picture at or before `ordinal` that a decoder can begin with; 0 when none is marked."
+  @doc "Returns the ordinal of the last key frame at or before `ordinal`, or 0 if none is marked."
   @spec key(t(), non_neg_integer()) :: non_neg_integer()
   def key(index, ordinal) do
     later = search(&(key_at(index, &1) > ordinal), 0, div(byte_size(index.keys), 4))
@@ -157,7 +158,7 @@ defmodule Situ.Media.Recording.Index do
     ordinal
   end
 
-  # The first i in low..high-1 for which `holds?`, which is true from some point on; `high` when there is none.
+  # Returns the first i in low..high-1 for which the monotonic predicate `holds?` is true, or `high` if there is none.
   defp search(_holds?, low, low), do: low
 
   defp search(holds?, low, high) do

@@ -1,6 +1,6 @@
 defmodule Situ.Media.Recording.OpenFile do
   @moduledoc false
-  # A media file as it was when it was opened: its packets' times, and where its sound begins and ends.
+  # The state of a media file when it was opened: the times of its packets, and the span of its audio.
 
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Media.{Decoder, FileInfo, FileTime}
@@ -9,8 +9,8 @@ defmodule Situ.Media.Recording.OpenFile do
   @enforce_keys [:path, :version, :info, :index, :start]
   defstruct [:path, :version, :info, :index, :start, :sound, :print]
 
-  # `print` is what tells two contents from each other that were written within one second.
-  @typedoc "`first` is the media time of the sound's first frame, in frames; `step` the frames of a piece."
+  # `print` is a fingerprint that distinguishes two versions of a file written within the same second.
+  @typedoc "`first` is the media time of the first audio frame, in frames; `step` is the number of frames in a buffer."
   @type sound :: %{
           format: AudioFormat.t(),
           first: integer(),
@@ -31,22 +31,22 @@ defmodule Situ.Media.Recording.OpenFile do
     start: [
       type: {:or, [{:in, [:file]}, :integer]},
       default: :file,
-      doc: "Originating time of the file's beginning, ns."
+      doc: "Originating time of the file's start, ns."
     ]
   ]
   @piece 20_000_000
-  # Pieces that are decoded together: half a minute.
+  # Number of audio buffers that are decoded together (30 s).
   @stretch 1_500
 
-  @doc "How long a piece of sound is, ns."
+  @doc "Returns the length of an audio buffer, ns."
   @spec piece() :: Situ.Time.duration()
   def piece, do: @piece
 
-  @doc "How many pieces of sound are decoded together."
+  @doc "Returns the number of audio buffers that are decoded together."
   @spec stretch() :: pos_integer()
   def stretch, do: @stretch
 
-  @doc "Opens the file, lists its packets and decodes the first piece of its sound."
+  @doc "Opens the file, lists its packets and decodes the first audio buffer."
   @spec open(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
@@ -76,7 +76,7 @@ defmodule Situ.Media.Recording.OpenFile do
     end
   end
 
-  @doc "Whether the file is still the one that was opened."
+  @doc "Checks that the file has not changed since it was opened."
   @spec unchanged(t()) :: :ok | {:error, Error.t()}
   def unchanged(%{path: path, version: version}) do
     case version(path) do
@@ -86,7 +86,7 @@ defmodule Situ.Media.Recording.OpenFile do
     end
   end
 
-  # Where the sound begins shows in its first piece: codecs have a lead-in that containers tell in ways of their own.
+  # Finds the start of the audio in its first buffer, because containers describe the lead-in of codecs differently.
   defp sound(_path, %{audio: nil}, _index), do: {:ok, nil}
 
   defp sound(path, info, index) do
@@ -101,7 +101,7 @@ defmodule Situ.Media.Recording.OpenFile do
           step = max(AudioFormat.ns_to_frames(format, @piece), 1)
           {:ok, %{format: format, first: first, frames: max(frames, 0), step: step}}
 
-        # A film with silent or broken sound is still a film.
+        # A video with missing or damaged audio is still readable.
         _ when info.video != nil ->
           {:ok, nil}
 

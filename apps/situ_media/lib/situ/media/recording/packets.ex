@@ -1,7 +1,7 @@
 defmodule Situ.Media.Recording.Packets do
   @moduledoc false
-  # The packets that ffprobe lists (`-of csv`), read as they come and kept small: a tick and a flag of every picture,
-  # and the end of the sound. A hostile file can make the list long, not large.
+  # Parses the packet list of ffprobe (`-of csv`) as it arrives and stores it compactly: a tick and a flag for every
+  # image, and the end of the audio. A malicious file can make the list long, but cannot exhaust memory.
 
   @most 5_000_000
 
@@ -11,14 +11,14 @@ defmodule Situ.Media.Recording.Packets do
 
   @type t :: %__MODULE__{}
 
-  @doc "For the streams with these indexes (`nil`: there is none)."
+  @doc "Builds an empty packet list for the streams with these indexes (`nil` if there is none)."
   @spec new(non_neg_integer() | nil, non_neg_integer() | nil) :: t()
   def new(video, audio), do: %__MODULE__{video: index(video), audio: index(audio)}
 
   defp index(nil), do: nil
   defp index(n), do: Integer.to_string(n)
 
-  @doc "The next bytes of the list."
+  @doc "Adds the next bytes of the list."
   @spec feed(t(), binary()) :: t()
   def feed(packets, bytes) do
     lines = String.split(packets.rest <> bytes, "\n")
@@ -33,7 +33,7 @@ defmodule Situ.Media.Recording.Packets do
     ticks = number(pts)
 
     cond do
-      # Decoded, never shown.
+      # Skips packets that are decoded but never shown.
       String.contains?(flags, "D") -> packets
       ticks == nil -> picture(%{packets | vague?: true}, number(dts), flags)
       true -> picture(packets, ticks, flags)
@@ -86,7 +86,7 @@ defmodule Situ.Media.Recording.Packets do
   defp later(ticks, nil), do: ticks
   defp later(ticks, last), do: max(ticks, last)
 
-  # No file counts beyond 63 bits.
+  # Ignores numbers beyond 63 bits, which no valid file contains.
   defp number(text) do
     case Integer.parse(text) do
       {n, ""} when abs(n) < 0x7FFFFFFFFFFFFFFF -> n

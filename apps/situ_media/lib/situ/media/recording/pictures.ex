@@ -1,7 +1,7 @@
 defmodule Situ.Media.Recording.Pictures do
   @moduledoc false
-  # Decodes the pictures of one media file on request: from a decoder's position if that is near, else
-  # again from the key picture before. Recently decoded pictures are kept, so that going back a little costs nothing.
+  # Decodes the images of one media file on request, from a decoder's position if it is close enough, else from the
+  # previous key frame. Recently decoded images are cached, so that small steps back cost nothing.
   use GenServer
 
   alias Situ.Media.Decoder
@@ -9,15 +9,15 @@ defmodule Situ.Media.Recording.Pictures do
 
   @idle_ms 20_000
   @kept_bytes 64 * 1_048_576
-  # One answer holds no more than this, however many are asked for.
+  # Maximum size of one reply, however many images are requested.
   @answer_bytes 16 * 1_048_576
-  # After a step back by at most this many pictures, the pictures before are likely to be wanted next: they are decoded
-  # together.
+  # After a step back by at most this many images, the previous images are likely to be requested next, so they are
+  # decoded together.
   @back 24
-  # A replay and a person who looks elsewhere.
+  # One decoder for a replay, and one for a user who looks at another time.
   @decoders 2
-  # Rough costs of a decoder: its start, and each pixel of a picture that it skips (decoded only) or hands over
-  # (also converted to BGR and sent).
+  # Rough costs of a decoder: its start, each pixel of an image that it skips (decoded only), and each pixel of an image
+  # that it returns (also converted to BGR and sent).
   @start_ns 80_000_000
   @skip_ns 1.5
   @read_ns 6.0
@@ -25,7 +25,8 @@ defmodule Situ.Media.Recording.Pictures do
   defstruct [:recording, :asked, decoders: [], kept: %{}, order: :queue.new(), bytes: 0]
 
   @doc """
-  Up to `limit` pictures from `ordinal` on: `{:ok, [{ordinal, image}]}`, fewer when they are large, none at the end.
+  Returns up to `limit` images from `ordinal` as `{:ok, [{ordinal, image}]}`. Large images are returned in smaller
+  numbers, and the list is empty at the end.
   """
   @spec read(OpenFile.t(), non_neg_integer(), pos_integer()) ::
           {:ok, [{non_neg_integer(), Situ.Image.t()}]} | {:error, Situ.Error.t()}
@@ -33,7 +34,7 @@ defmodule Situ.Media.Recording.Pictures do
 
   @impl true
   def init(recording) do
-    # A decoder that dies is an error of the current request.
+    # If a decoder crashes, only the current request fails.
     Process.flag(:trap_exit, true)
     {:ok, %__MODULE__{recording: recording}, @idle_ms}
   end
@@ -84,7 +85,7 @@ defmodule Situ.Media.Recording.Pictures do
     end
   end
 
-  # A decoder from which the picture is near, or a new one.
+  # Takes a decoder that is close enough to the image, or opens a new one.
   defp decoder(%{recording: %{index: index}} = state, ordinal) do
     key = Index.key(index, ordinal)
     at = Enum.filter(state.decoders, fn {next, _} -> next <= ordinal end)
@@ -95,7 +96,7 @@ defmodule Situ.Media.Recording.Pictures do
       else: open(state, first_wanted(state, ordinal, key))
   end
 
-  # A running decoder hands over each picture on the way; a new one only skips them, but begins at the key picture.
+  # A running decoder returns every image up to the target, while a new one skips them but begins at the key frame.
   defp near?(%{info: %{video: video}}, ahead, from_key) do
     pixels = video.width * video.height
     ahead * pixels * (@skip_ns + @read_ns) <= @start_ns + from_key * pixels * @skip_ns
@@ -118,7 +119,7 @@ defmodule Situ.Media.Recording.Pictures do
     end
   end
 
-  # Between the picture and the one before it, since ffmpeg seeks in microseconds.
+  # Seeks to a time between the image and the previous one, since ffmpeg seeks in microseconds.
   defp before(_index, 0), do: 0
 
   defp before(index, ordinal) do
@@ -135,7 +136,7 @@ defmodule Situ.Media.Recording.Pictures do
         at = max(Index.nearest(state.recording.index, time), next)
 
         cond do
-          # One more than the packets promised.
+          # The file has more images than its packets stated.
           at >= Index.count(state.recording.index) ->
             run(state, at, decoder, wanted, found)
 
@@ -150,7 +151,7 @@ defmodule Situ.Media.Recording.Pictures do
         Decoder.close(decoder)
         {{:ok, Enum.reverse(found)}, state}
 
-      # The pictures read so far come first; the next read returns the error.
+      # Returns the images read so far first; the next read returns the error.
       {:error, error, decoder} ->
         Decoder.close(decoder)
         {if(found == [], do: {:error, error}, else: {:ok, Enum.reverse(found)}), state}

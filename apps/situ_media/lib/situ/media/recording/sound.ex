@@ -1,6 +1,6 @@
 defmodule Situ.Media.Recording.Sound do
   @moduledoc false
-  # Decodes the sound of one media file in stretches of half a minute, and once from end to end for its waveform.
+  # Decodes the audio of one media file in sections of half a minute, and once completely for its waveform.
   use GenServer
 
   alias Situ.{AudioBuffer, AudioFormat}
@@ -9,16 +9,16 @@ defmodule Situ.Media.Recording.Sound do
 
   @idle_ms 120_000
   @kept 3
-  # Decoders of sound need some of what was before, and containers round the times of what comes after.
+  # Audio decoders need some preceding data, and containers round the times of later data.
   @lead 200_000_000
-  # A fraction of a second.
+  # Tolerated jitter, as a fraction of a second (1/200 s).
   @jitter 200
 
   defstruct [:recording, :waveform, stretches: []]
 
   @doc """
-  One stretch of sound, counted from 0: `{:ok, data, error}`; short where there is no more, and then `error` says why,
-  or is `nil`.
+  Returns one section of audio, counted from 0, as `{:ok, data, error}`. The data is short if there is no more audio,
+  and then `error` is the reason or `nil`.
   """
   @spec read(OpenFile.t(), non_neg_integer()) ::
           {:ok, binary(), Situ.Error.t() | nil} | {:error, Situ.Error.t()}
@@ -69,7 +69,7 @@ defmodule Situ.Media.Recording.Sound do
     with :ok <- OpenFile.unchanged(recording),
          {:ok, decoder} <- open(recording, span),
          {:ok, data, nil} <- gather(Decoder.next(decoder), last, format, {first, []}) do
-      # A pause: the sound goes on in a later stretch.
+      # Fills a pause, since the audio continues in a later section.
       more? = last < sound.first + sound.frames
       missing = last - first - div(byte_size(data), AudioFormat.bytes_per_frame(format))
       {:ok, if(more?, do: data <> silence(format, missing), else: data), nil}
@@ -83,8 +83,8 @@ defmodule Situ.Media.Recording.Sound do
     Decoder.open(recording.path, recording.info, opts)
   end
 
-  # Puts what comes where its time says: a gap is silence, what lies outside of the stretch is left out. Less than
-  # @jitter is the rounding of the container (1 ms in Matroska), and the sound goes on.
+  # Places each buffer at its time: gaps are filled with silence, and audio outside the section is skipped. Differences
+  # below @jitter are rounding of the container (1 ms in Matroska), and the audio is treated as contiguous.
   defp gather({:audio, time, buffer, decoder}, last, format, {at, parts}) do
     n = AudioBuffer.frames(buffer)
     start = AudioFormat.ns_to_frames(format, time) - n
@@ -104,7 +104,7 @@ defmodule Situ.Media.Recording.Sound do
   defp gather({:eof, decoder}, _last, _format, {_at, parts}),
     do: gathered(decoder, parts, nil)
 
-  # Nothing came, and ffmpeg had nothing to complain of: there is no sound in this span.
+  # ffmpeg returned no data and reported no error, so this span contains no audio.
   defp gather({:error, %{meta: %{log_lines: 0}}, decoder}, _last, _format, {_at, []}),
     do: gathered(decoder, [], nil)
 
@@ -131,7 +131,7 @@ defmodule Situ.Media.Recording.Sound do
   end
 
   defp draw({:eof, decoder}, _start, waveform), do: drawn(decoder, waveform)
-  # The waveform of what can be read.
+  # On an error, returns the waveform of the readable part.
   defp draw({:error, _error, decoder}, _start, waveform), do: drawn(decoder, waveform)
 
   defp drawn(decoder, waveform) do

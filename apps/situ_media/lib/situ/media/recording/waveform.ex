@@ -1,8 +1,8 @@
 defmodule Situ.Media.Recording.Waveform do
   @moduledoc """
-  The outline of a sound, small enough to keep: minimum, maximum, last value and count of every 2^24 ns (17 ms) that has
-  any, packed (6 MB an hour), and folded to the width a drawing needs. A gap takes no room, however long a file says
-  it is.
+  A compact waveform of an audio stream. It stores the minimum, maximum, last value and count of every non-empty
+  interval of 2^24 ns (17 ms), packed (6 MB per hour), and merges them to the width that a plot needs. Gaps take no
+  space, however long they are according to the file.
 
       iex> alias Situ.Media.Recording.Waveform
       iex> points = for i <- 0..99, do: {i * 1_000_000, -i / 1, i / 1, i / 1, 8}
@@ -19,14 +19,14 @@ defmodule Situ.Media.Recording.Waveform do
   @type t :: %__MODULE__{}
   @type point :: {Situ.Time.t(), number(), number(), number(), pos_integer()}
 
-  @doc "The narrowest width it can answer, as a power of two nanoseconds."
+  @doc "Returns the smallest bin width, as a power of two nanoseconds."
   @spec level() :: pos_integer()
   def level, do: @level
 
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Takes in points in the order of time, as `Situ.Sound.points/2` gives them."
+  @doc "Adds points in time order, as returned by `Situ.Sound.points/2`."
   @spec add(t(), [point()]) :: t()
   def add(waveform, points), do: Enum.reduce(points, waveform, &put/2)
 
@@ -44,17 +44,17 @@ defmodule Situ.Media.Recording.Waveform do
     %{waveform | open: nil, parts: [bin | waveform.parts]}
   end
 
-  @doc "Packs it, when nothing more comes."
+  @doc "Packs the waveform after the last point was added."
   @spec finish(t()) :: t()
   def finish(waveform) do
     waveform = close(waveform)
     %{waveform | data: waveform.parts |> Enum.reverse() |> IO.iodata_to_binary(), parts: []}
   end
 
-  @doc "Bins 2^`level` ns wide (at least `level/0`) that meet `from..to`; empty ones are left out."
+  @doc "Returns the non-empty bins of 2^`level` ns (at least `level/0`) that overlap `from..to`."
   @spec bins(t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) :: [point()]
   def bins(waveform, from, to, level) when level >= @level do
-    # Whole bins of the width asked for.
+    # Extends the range to complete bins of the requested width.
     first = position(waveform.data, from >>> level <<< (level - @level))
     last = position(waveform.data, ((to >>> level) + 1) <<< (level - @level))
 
@@ -63,7 +63,7 @@ defmodule Situ.Media.Recording.Waveform do
     |> fold(level, nil, [])
   end
 
-  # How many bins lie before number `at`.
+  # Returns the number of bins before number `at`.
   defp position(data, at), do: position(data, at, 0, div(byte_size(data), @bytes))
   defp position(_data, _at, low, high) when low >= high, do: low
 

@@ -1,21 +1,23 @@
 defmodule Situ.Media.Task.EncodePictures do
-  @moduledoc "The batch task `encode-pictures`: a stream of raw pictures as JPEG, in a new partition of each session."
+  @moduledoc """
+  The batch task `encode-pictures`. It copies a stream of raw images as JPEG into a new partition of each session.
+  """
 
-  @doc "The task's description."
+  @doc "Returns the description of the task."
   @spec task() :: map()
   def task do
     %{
       name: "encode-pictures",
-      about: "copy a stream of raw pictures as JPEG into a new partition",
+      about: "copy a stream of raw images as JPEG into a new partition",
       output: "Pictures",
       options: [
-        stream: [type: :string, default: "Video", doc: "The pictures."],
-        quality: [type: {:integer, 1, 100}, default: 90, doc: "Of the JPEG."]
+        stream: [type: :string, default: "Video", doc: "The image stream."],
+        quality: [type: {:integer, 1, 100}, default: 90, doc: "JPEG quality."]
       ]
     }
   end
 
-  @doc "Builds the pipeline of one session."
+  @doc "Builds the pipeline for one session."
   @spec build(Situ.Graph.Handle.t(), keyword()) :: term()
   def build(_p, opts) do
     jpeg = fn picture ->

@@ -1,29 +1,30 @@
 defmodule Situ.Media.Task.SoundToWav do
   @moduledoc """
-  The batch task `sound-to-wav`: a sound stream of each session as a WAV file beside its recordings.
+  The batch task `sound-to-wav`. It writes an audio stream of each session to a WAV file next to its recordings.
 
-  A task of `situ_dataset`, whose behaviour this follows without naming it: media stand beside datasets, not above.
+  It implements the task behaviour of `situ_dataset` without naming it, because `situ_media` does not depend on that
+  app.
   """
 
-  @doc "The task's description."
+  @doc "Returns the description of the task."
   @spec task() :: map()
   def task do
     %{
       name: "sound-to-wav",
-      about: "write a sound stream of each session into a WAV file beside its recordings",
+      about: "write an audio stream of each session to a WAV file next to its recordings",
       output: nil,
       options: [
-        stream: [type: :string, default: "Audio", doc: "The sound."],
+        stream: [type: :string, default: "Audio", doc: "The audio stream."],
         file: [
           type: :string,
           default: "Audio.wav",
-          doc: "The file's name; the session's name comes before it."
+          doc: "Name of the file, appended to the session's name."
         ]
       ]
     }
   end
 
-  @doc "Builds the pipeline of one session."
+  @doc "Builds the pipeline for one session."
   @spec build(Situ.Graph.Handle.t(), keyword()) :: term()
   def build(_p, opts) do
     path = Path.join(opts[:folder], "#{opts[:session].name}.#{opts[:file]}")

@@ -1,17 +1,17 @@
 defmodule Situ.Media.Wav.Format do
   @moduledoc """
-  The `fmt ` chunk of a WAV file: which kind of samples follow.
+  Encodes and parses the `fmt ` chunk of a WAV file, which describes the samples.
   """
   alias Situ.{AudioFormat, Error}
 
   @pcm 1
   @float 3
   @extensible 0xFFFE
-  # The tail of the sub-format's GUID: xxxxxxxx-0000-0010-8000-00AA00389B71.
+  # The end of the sub-format's GUID: xxxxxxxx-0000-0010-8000-00AA00389B71.
   @guid <<0x0000::little-16, 0x0010::little-16, 0x80, 0x00, 0x00, 0xAA, 0x00, 0x38, 0x9B, 0x71>>
 
   @doc """
-  The body of a `fmt ` chunk for a format.
+  Encodes the body of a `fmt ` chunk for a format.
 
       iex> chunk = Situ.Media.Wav.Format.encode(Situ.AudioFormat.pcm(44_100, 2, :f32))
       iex> {:ok, format} = Situ.Media.Wav.Format.parse(chunk)
@@ -27,7 +27,7 @@ defmodule Situ.Media.Wav.Format do
       <<format.rate::little-32, AudioFormat.bytes_per_second(format)::little-32,
         AudioFormat.bytes_per_frame(format)::little-16, bits::little-16>>
 
-    # More than two channels or 16 bits, and float, are written the extensible way, as the format's authors ask.
+    # The specification requires the extensible form for more than two channels, more than 16 bits, and floats.
     if tag == @pcm and bits <= 16 and format.channels <= 2 do
       <<@pcm::little-16, format.channels::little-16, plain::binary>>
     else
@@ -36,7 +36,7 @@ defmodule Situ.Media.Wav.Format do
     end
   end
 
-  @doc "The format a `fmt ` chunk means."
+  @doc "Parses the body of a `fmt ` chunk to a format."
   @spec parse(binary()) :: {:ok, AudioFormat.t()} | {:error, Error.t()}
   def parse(
         <<@extensible::little-16, plain::binary-size(14), _size::little-16, _valid::little-16,
@@ -47,7 +47,7 @@ defmodule Situ.Media.Wav.Format do
   def parse(<<tag::little-16, plain::binary-size(14), _::binary>>),
     do: parse_plain(tag, plain)
 
-  def parse(bytes), do: bad("its fmt chunk has only #{byte_size(bytes)} bytes")
+  def parse(bytes), do: bad("the fmt chunk has only #{byte_size(bytes)} bytes")
 
   defp parse_plain(
          tag,
@@ -58,7 +58,7 @@ defmodule Situ.Media.Wav.Format do
            AudioFormat.validate(%AudioFormat{rate: rate, channels: channels, sample: sample}) do
       if block == AudioFormat.bytes_per_frame(format),
         do: {:ok, format},
-        else: bad("a frame of #{channels} channels of #{bits} bits cannot have #{block} bytes")
+        else: bad("a frame of #{channels} channels with #{bits} bits cannot have #{block} bytes")
     else
       {:error, %{what: what}} -> bad(what)
     end
@@ -72,12 +72,12 @@ defmodule Situ.Media.Wav.Format do
   defp sample(@float, 64), do: {:ok, :f64}
 
   defp sample(tag, bits) when tag in [@pcm, @float],
-    do: {:error, Error.new(:bad_wav, "samples of #{bits} bits are unknown")}
+    do: {:error, Error.new(:bad_wav, "samples of #{bits} bits are not supported")}
 
   defp sample(tag, _bits) do
     {:error,
-     Error.new(:bad_wav, "its sound is compressed (format tag #{tag}), read it with VideoFile")}
+     Error.new(:bad_wav, "the audio is compressed (format tag #{tag}); read it with VideoFile")}
   end
 
-  defp bad(why), do: {:error, Error.new(:bad_wav, "not a usable WAV file", why: why)}
+  defp bad(why), do: {:error, Error.new(:bad_wav, "invalid or unsupported WAV file", why: why)}
 end

@@ -1,20 +1,21 @@
 defmodule Situ.Media.Wav.Reader do
   @moduledoc """
-  Reads a WAV file piece by piece, from any point of time.
+  Reads a WAV file in buffers, from any time.
 
       {:ok, reader} = Situ.Media.Wav.Reader.open("talk.wav", buffer: Situ.Time.ms(20))
       {:ok, 20_000_000, %Situ.AudioBuffer{}, reader} = Situ.Media.Wav.Reader.next(reader)
 
-  The time of a piece is its end, counted in samples from the start of the file: sample-exact at any rate. After the
-  last whole frame comes `:eof`, or an error when the file ends before its header says it should.
+  The time of a buffer is its end, counted in samples from the start of the file, so it is exact to the sample at any
+  rate. After the last complete frame `next/1` returns `:eof`, or an error if the file is shorter than its header
+  states.
   """
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Media.Wav.Format
 
   @schema [
-    buffer: [type: :pos_integer, default: 20_000_000, doc: "Length of one piece, ns."],
-    start: [type: :non_neg_integer, default: 0, doc: "Where to begin, ns from the file's start."],
-    end: [type: {:optional, :pos_integer}, default: nil, doc: "Where to end, ns; `nil`: the end."]
+    buffer: [type: :pos_integer, default: 20_000_000, doc: "Length of a buffer, ns."],
+    start: [type: :non_neg_integer, default: 0, doc: "Start, ns from the start of the file."],
+    end: [type: {:optional, :pos_integer}, default: nil, doc: "End, ns; `nil`: end of the file."]
   ]
 
   @enforce_keys [:file, :format, :name]
@@ -34,7 +35,7 @@ defmodule Situ.Media.Wav.Reader do
 
   @type t :: %__MODULE__{}
 
-  # A file is no longer a WAV file but an attack when it has more chunks before its sound.
+  # A file with more chunks before its audio is treated as an attack.
   @max_chunks 256
   @max_text 4096
 
@@ -58,25 +59,25 @@ defmodule Situ.Media.Wav.Reader do
     end
   end
 
-  @doc "How long the sound is, ns."
+  @doc "Returns the length of the audio, ns."
   @spec duration(t()) :: Situ.Time.duration()
   def duration(%__MODULE__{} = reader), do: AudioFormat.frames_to_ns(reader.format, total(reader))
 
-  @doc "Frames there are."
+  @doc "Returns the number of frames in the file."
   @spec frames(t()) :: non_neg_integer()
   def frames(%__MODULE__{} = reader), do: total(reader)
 
-  @doc "Bytes of sound that the header announces and the file lacks."
+  @doc "Returns the number of audio bytes that the header states but the file does not contain."
   @spec missing(t()) :: non_neg_integer()
   def missing(%__MODULE__{} = reader), do: reader.claimed - reader.bytes
 
-  @doc "The same reader with its file open again, in the calling process: what `open/2` found out is kept."
+  @doc "Reopens the file in the calling process and keeps the parsed header."
   @spec reopen(t(), Path.t()) :: {:ok, t()} | {:error, Error.t()}
   def reopen(%__MODULE__{} = reader, path) do
     with {:ok, file} <- open_file(path), do: {:ok, %{reader | file: file}}
   end
 
-  @doc "`count` frames from frame `first` on; an error when the file has become shorter."
+  @doc "Reads `count` frames from frame `first`. Returns an error if the file has become shorter."
   @spec slice(t(), non_neg_integer(), non_neg_integer()) :: AudioBuffer.result()
   def slice(%__MODULE__{format: format} = reader, first, count) do
     size = AudioFormat.bytes_per_frame(format)
@@ -93,7 +94,7 @@ defmodule Situ.Media.Wav.Reader do
     end
   end
 
-  @doc "The next piece."
+  @doc "Reads the next buffer."
   @spec next(t()) :: {:ok, Situ.Time.t(), AudioBuffer.t(), t()} | :eof | {:error, Error.t()}
   def next(%__MODULE__{frame: frame, last: last} = reader) when frame < last do
     size = AudioFormat.bytes_per_frame(reader.format)
@@ -102,7 +103,7 @@ defmodule Situ.Media.Wav.Reader do
     case :file.pread(reader.file, reader.data + frame * size, want * size) do
       {:ok, bytes} ->
         read = div(byte_size(bytes), size)
-        # The file became shorter while it was read.
+        # Reads nothing if the file was shortened after it was opened.
         if read == 0, do: {:error, truncated(reader)}, else: piece(bytes, read, size, reader)
 
       :eof ->
@@ -146,12 +147,12 @@ defmodule Situ.Media.Wav.Reader do
   defp total(reader), do: div(reader.bytes, AudioFormat.bytes_per_frame(reader.format))
 
   defp open_file(path) do
-    # `open` on a FIFO would wait for somebody to write; a device never ends.
+    # Rejects FIFOs, for which `open` would wait for a writer, and devices, which never end.
     with {:ok, %{type: :regular}} <- File.stat(path),
          {:ok, file} <- :file.open(path, [:read, :raw, :binary]) do
       {:ok, file}
     else
-      {:ok, %{type: type}} -> {:error, unreadable(path, "it is a #{type}")}
+      {:ok, %{type: type}} -> {:error, unreadable(path, "the path is a #{type}")}
       {:error, reason} -> {:error, no_file(path, reason)}
     end
   end
@@ -162,10 +163,10 @@ defmodule Situ.Media.Wav.Reader do
         chunks(file, 12, @max_chunks, %{name: name, format: nil, size64: nil, recorded_at: nil})
 
       {:ok, _} ->
-        {:error, unreadable(name, "it does not begin like a WAV file")}
+        {:error, unreadable(name, "the file does not begin with a WAV header")}
 
       :eof ->
-        {:error, unreadable(name, "it is empty")}
+        {:error, unreadable(name, "the file is empty")}
 
       {:error, reason} ->
         {:error, unreadable(name, :file.format_error(reason))}
@@ -173,7 +174,8 @@ defmodule Situ.Media.Wav.Reader do
   end
 
   defp chunks(_file, _at, 0, %{name: name}),
-    do: {:error, unreadable(name, "it has more than #{@max_chunks} chunks before its sound")}
+    do:
+      {:error, unreadable(name, "the file has more than #{@max_chunks} chunks before its audio")}
 
   defp chunks(file, at, left, seen) do
     case :file.pread(file, at, 8) do
@@ -187,7 +189,7 @@ defmodule Situ.Media.Wav.Reader do
         end
 
       _ ->
-        {:error, unreadable(seen.name, "it ends before its sound begins")}
+        {:error, unreadable(seen.name, "the file ends before its audio begins")}
     end
   end
 
@@ -197,7 +199,7 @@ defmodule Situ.Media.Wav.Reader do
       {:ok, %{seen | format: format}}
     else
       {:error, %Error{} = error} -> {:error, %{error | what: "cannot read #{seen.name}"}}
-      _ -> {:error, unreadable(seen.name, "its fmt chunk is cut off")}
+      _ -> {:error, unreadable(seen.name, "the fmt chunk is truncated")}
     end
   end
 
@@ -211,7 +213,7 @@ defmodule Situ.Media.Wav.Reader do
     end
   end
 
-  # LIST INFO holds the time of recording, as ICRD.
+  # LIST INFO contains the recording time as ICRD.
   defp chunk("LIST", size, file, at, seen) when size >= 12 and size <= @max_text do
     case :file.pread(file, at, size) do
       {:ok, <<"INFO", items::binary>>} ->
@@ -240,13 +242,13 @@ defmodule Situ.Media.Wav.Reader do
   defp recorded_at(_), do: nil
 
   defp data(_file, _at, _size, %{format: nil, name: name}),
-    do: {:error, unreadable(name, "its sound comes before its fmt chunk")}
+    do: {:error, unreadable(name, "the audio comes before the fmt chunk")}
 
   defp data(file, at, size, seen) do
     {:ok, file_size} = :file.position(file, :eof)
     there = max(file_size - at, 0)
 
-    # 0 and all ones: the writer could not know the length, the sound goes on to the end of the file.
+    # 0 or all ones means that the writer did not know the length, so the audio extends to the end of the file.
     claimed =
       case {seen.size64, size} do
         {nil, unknown} when unknown in [0, 0xFFFFFFFF] -> there
@@ -271,9 +273,9 @@ defmodule Situ.Media.Wav.Reader do
   defp truncated(reader) do
     missing = reader.claimed - reader.bytes
 
-    Error.new(:damaged_media, "#{reader.name} ends too early",
+    Error.new(:damaged_media, "#{reader.name} is truncated",
       why:
-        "its header announces #{reader.claimed} bytes of sound, #{missing} of them are missing",
+        "the header states #{reader.claimed} bytes of audio, but #{missing} of them are missing",
       meta: %{read_ns: AudioFormat.frames_to_ns(reader.format, reader.frame)}
     )
   end

@@ -1,11 +1,11 @@
 defmodule Situ.Media.Wav.Recording do
   @moduledoc """
-  WAV files as recordings: `Situ.Store.open("talk.wav")` has one stream, `Audio`, of 20 ms pieces.
+  Opens WAV files as recordings. `Situ.Store.open("talk.wav")` has one stream, `Audio`, with buffers of 20 ms.
 
-  The originating time of a piece is that of its end. The file begins at the time that is written in it (ICRD), else
-  at 0; the option `start:` (ns) says otherwise: `Situ.Store.open("talk.wav", reader_opts: [start: time])`. A file cut
-  short is read as far as it goes, and `Situ.Store.info/1` lists what is missing under `damage`. The kinds of WAV:
-  `Situ.Media.Wav`.
+  The originating time of a buffer is the time of its end. The file begins at the time stored in it (ICRD), or at 0. The
+  option `start:` (ns) overrides it: `Situ.Store.open("talk.wav", reader_opts: [start: time])`. A truncated file is read
+  up to its end, and `Situ.Store.info/1` lists the missing data under `damage`. `Situ.Media.Wav` lists the supported
+  kinds of WAV.
   """
   @behaviour Situ.Store.Reader
 
@@ -20,11 +20,11 @@ defmodule Situ.Media.Wav.Recording do
     start: [
       type: {:optional, :integer},
       default: nil,
-      doc: "Originating time of the file's beginning, ns; `nil`: as the file says, else 0."
+      doc: "Originating time of the file's start, ns; `nil`: as stored in the file, else 0."
     ]
   ]
   @piece 20_000_000
-  # Pieces read at once: 10 s.
+  # Maximum number of buffers per read (10 s).
   @most 500
 
   @impl true
@@ -63,7 +63,7 @@ defmodule Situ.Media.Wav.Recording do
 
   defp damage(reader) do
     {Reader.frames(reader),
-     "the header announces #{Reader.missing(reader)} bytes more than there are"}
+     "the header states #{Reader.missing(reader)} bytes more than the file contains"}
   end
 
   defp name(recording), do: Path.basename(recording.path, Path.extname(recording.path))
@@ -102,7 +102,7 @@ defmodule Situ.Media.Wav.Recording do
   defp time(%{reader: reader} = recording, ordinal),
     do: recording.start + AudioFormat.frames_to_ns(reader.format, finish(recording, ordinal))
 
-  # The frame after the last of a piece.
+  # Returns the frame after the last frame of a buffer.
   defp finish(recording, ordinal),
     do: min((ordinal + 1) * recording.step, Reader.frames(recording.reader))
 
@@ -111,7 +111,7 @@ defmodule Situ.Media.Wav.Recording do
     frame = AudioFormat.ns_to_frames(recording.reader.format, max(time - recording.start, 0))
     guess = div(frame, recording.step)
     last = count(recording)
-    # Rounding can put it one off either way.
+    # Rounding can make the guess off by one in either direction.
     near = max(guess - 2, 0)..(guess + 2)
     {:ok, Enum.find(near, last, &(&1 < last and time(recording, &1) >= time))}
   end
@@ -155,7 +155,7 @@ defmodule Situ.Media.Wav.Recording do
     }
   end
 
-  # The file is open only during a read: any process may read a recording.
+  # Opens the file only during a read, so that any process can read a recording.
   defp sound(%{path: path, stat: stat} = recording, from, count) do
     with {:ok, ^stat} <- stat(path),
          {:ok, reader} <- Reader.reopen(recording.reader, path) do

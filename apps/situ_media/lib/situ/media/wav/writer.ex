@@ -1,8 +1,8 @@
 defmodule Situ.Media.Wav.Writer do
   @moduledoc """
-  Writes a WAV file piece by piece. The header is valid from the start (a reader takes the sound up to the end of the
-  file), so what was written before a crash can be read; `close/1` puts the true lengths in. Beyond 4 GB the file
-  becomes RF64.
+  Writes a WAV file buffer by buffer. The header is valid from the start (readers take the audio up to the end of the
+  file), so audio written before a crash is readable. `close/1` stores the final lengths. Beyond 4 GB the file becomes
+  RF64.
 
       {:ok, writer} = Situ.Media.Wav.Writer.open("out.wav", Situ.AudioFormat.pcm(48_000, 2))
       {:ok, writer} = Situ.Media.Wav.Writer.append(writer, buffer)
@@ -16,11 +16,11 @@ defmodule Situ.Media.Wav.Writer do
 
   @type t :: %__MODULE__{}
 
-  # Room for the ds64 chunk of RF64, so that a file may grow into one.
+  # Reserves space for the ds64 chunk, so that a file can grow into RF64.
   @ds64 28
   @limit 0xFFFFFFFF
 
-  @doc "Creates the file. `start_time:` (ns) is written into it as its date of creation."
+  @doc "Creates the file. `start_time:` (ns) is stored in it as its creation date."
   @spec open(Path.t(), AudioFormat.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def open(path, %AudioFormat{} = format, opts \\ []) do
     header = %{fmt: Format.encode(format), info: info(opts[:start_time])}
@@ -33,7 +33,7 @@ defmodule Situ.Media.Wav.Writer do
     end
   end
 
-  @doc "Appends sound of the writer's format."
+  @doc "Appends audio in the writer's format."
   @spec append(t(), AudioBuffer.t()) :: {:ok, t()} | {:error, Error.t()}
   def append(%__MODULE__{format: format} = writer, %AudioBuffer{format: format} = buffer) do
     case :file.write(writer.file, buffer.data) do
@@ -44,8 +44,8 @@ defmodule Situ.Media.Wav.Writer do
 
   def append(%__MODULE__{} = writer, %AudioBuffer{} = buffer) do
     {:error,
-     Error.new(:bad_audio, "#{Path.basename(writer.path)} holds #{inspect(writer.format)}",
-       why: "a WAV file has one format; this piece has #{inspect(buffer.format)}",
+     Error.new(:bad_audio, "#{Path.basename(writer.path)} contains #{inspect(writer.format)}",
+       why: "a WAV file has a single format; this buffer has #{inspect(buffer.format)}",
        fix: "reformat or resample the stream before writing it"
      )}
   end
@@ -66,7 +66,7 @@ defmodule Situ.Media.Wav.Writer do
 
   defp header(parts, bytes) do
     body = IO.iodata_to_binary([chunk("fmt ", parts.fmt), parts.info])
-    # "WAVE", the reserved chunk, the chunks, and the head of the data chunk.
+    # Counts "WAVE", the reserved chunk, the other chunks, and the header of the data chunk.
     rest = 4 + 8 + @ds64 + byte_size(body) + 8
 
     case bytes do
@@ -101,7 +101,7 @@ defmodule Situ.Media.Wav.Writer do
 
   defp failed(path, reason) do
     Error.new(:cannot_write, "cannot write #{inspect(path)}: #{:file.format_error(reason)}",
-      fix: "check that the folder exists and has room"
+      fix: "check that the folder exists and the disk is not full"
     )
   end
 end
