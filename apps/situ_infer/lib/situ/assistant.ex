@@ -3,74 +3,74 @@ defmodule Situ.Assistant do
     wake: [
       type: {:optional, :string},
       default: "computer",
-      doc: "The name it answers to; `nil`: it answers to everything."
+      doc: "The assistant's name; with `nil` it responds to every sentence."
     ],
     attention: [
       type: :time_ns,
       default: 8_000_000_000,
-      doc: "How long after its name, or after an answer, it needs no name, ns."
+      doc: "How long the name may be omitted after the name or a reply, ns."
     ],
     grammar: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "More that it understands: a grammar (`Situ.Intent.Grammar`) or its file; intents come out on `:intent`."
+        "Additional commands: a grammar (`Situ.Intent.Grammar`) or its file; their intents are emitted on `:intent`."
     ],
     chat: [
       type: {:optional, :keyword},
       default: nil,
-      doc: "Who is asked what the rules do not know: options of `Situ.Chat`."
+      doc: "Options of `Situ.Chat`, the language model for sentences that no rule matches."
     ],
     local_time: [
       type: {:fun, 1},
       default: &Situ.Assistant.Dialogue.local_time/1,
-      doc: "The date and time at a moment (ns), where the assistant stands."
+      doc: "Converts a time (ns) to the local date and time of the assistant."
     ],
     pause: [
       type: :time_ns,
       default: 350_000_000,
-      doc: "The silence that ends a sentence, ns."
+      doc: "The length of silence that ends a sentence, ns."
     ],
     duck: [
       type: {:range, 0, 40},
       default: 20.0,
       doc:
-        "How much less it hears while it speaks, dB: its own voice is left out, who interrupts it is not."
+        "How much the input is attenuated during playback, dB: hides the assistant's own voice but not an interruption."
     ],
     quietest: [
       type: {:range, -120, 0},
       default: -55.0,
       doc:
-        "The level below which nothing is a voice, dB of full scale; `duck:` more while it speaks."
+        "Audio below this level is never treated as voice, dB of full scale; `duck:` applies during playback."
     ],
     recognizer: [type: :keyword, default: [], doc: "Options of `Situ.Infer.SpeechRecognizer`."],
     synthesizer: [type: :keyword, default: [], doc: "Options of `Situ.Infer.SpeechSynthesizer`."]
   ]
 
   @moduledoc """
-  A voice assistant: it hears its name, recognises a sentence, finds its intent, acts, and answers aloud; a user who
-  interrupts it is heard.
+  A voice assistant that listens for its name, recognizes a sentence, detects the intent, acts, and replies aloud. The
+  user can interrupt a reply.
 
       microphone = Situ.Media.Microphone.open(p)
       assistant = Situ.Assistant.attach(microphone, wake: "computer")
       Situ.Media.Speaker.play(assistant.sound)
 
-  It knows the time, the date and timers (`Situ.Assistant.Skills`); other sentences go to a language model when
-  `chat:` names one. The result is a map of streams:
+  It knows the time, the date and timers (`Situ.Assistant.Skills`). If `chat:` is given, other sentences go to a
+  language model. The result is a map of streams:
 
-  | key | of | what |
+  | key | type | content |
   |---|---|---|
-  | `:voice` | boolean | whether somebody speaks |
-  | `:heard`, `:partial` | `Situ.Infer.Speech.Utterance` | what was said, and what it is so far |
-  | `:intent` | `Situ.Intent` | what was wanted |
-  | `:said` | string | what it says, when it decides to |
-  | `:sound` | `Situ.AudioBuffer` | that spoken, piece by piece as it is to be played |
-  | `:speaking` | boolean | whether it speaks |
-  | `:stop` | string | somebody interrupts it: the words |
+  | `:voice` | boolean | whether somebody is speaking |
+  | `:heard`, `:partial` | `Situ.Infer.Speech.Utterance` | recognized sentences, and partial results |
+  | `:intent` | `Situ.Intent` | detected intents |
+  | `:said` | string | the assistant's replies, at the time of the decision |
+  | `:sound` | `Situ.AudioBuffer` | the spoken replies, in chunks for playback |
+  | `:speaking` | boolean | whether the assistant is speaking |
+  | `:stop` | string | the words of a user who interrupts the assistant |
 
-  Its own voice may reach the microphone. While it speaks it hears less (`duck:`), so that a voice from a loudspeaker
-  some way off does not count as speech, while somebody who talks into the microphone does; and where that does not
-  help, words that it has just said are no command and no interruption (`Situ.Assistant.Echo`).
+  The microphone may pick up the assistant's own voice. During playback the input is therefore attenuated (`duck:`), so
+  that a loudspeaker at some distance does not count as speech, but a person at the microphone does. As a second
+  safeguard, words that the assistant has just spoken are neither commands nor interruptions (`Situ.Assistant.Echo`).
 
   ## Options
 
@@ -81,20 +81,20 @@ defmodule Situ.Assistant do
   alias Situ.Audio.Ducker
   alias Situ.{Node, Pipeline, Stream}
 
-  # Whoever cannot follow speech has no time for results on the way.
+  # If the recognizer lags by more than this, it skips partial results.
   @late 700_000_000
 
   @type streams :: %{atom() => Stream.t() | nil}
 
-  @doc "The assistant on a stream of 16 kHz mono sound."
+  @doc "Attaches an assistant to a stream of 16 kHz mono audio."
   @spec attach(Stream.t(), keyword()) :: streams()
   def attach(%Stream{} = sound, opts \\ []) do
     opts = Situ.Options.validate!(opts, @own)
     ducker = Pipeline.add(sound.pipeline, Ducker, by: opts[:duck], name: "Ducker")
     Pipeline.connect(sound, ducker, :in)
 
-    # A voice is found however quiet it is: being quieter alone would not hide the assistant's own. Only the search for
-    # voices is ducked: who interrupts it is understood as well as ever.
+    # Voice activity detection works at any level, so attenuation alone would not hide the assistant's own voice; the
+    # noise gate does. Only the detection uses the ducked audio, so interruptions are recognized at full level.
     loud = ducker |> Node.output(:out) |> Situ.Audio.noise_gate(open: opts[:quietest])
 
     voice =
@@ -143,7 +143,7 @@ defmodule Situ.Assistant do
   defp answers(questions, stop, opts) do
     opts = Keyword.merge([system: @system, failures: :emit], opts)
     chat = Situ.via([in: questions, cancel: stop], Situ.Chat, opts ++ [name: "Chat"])
-    # It speaks its failures, too: nobody looks at a log while talking.
+    # Failures are spoken too, because nobody reads a log during a conversation.
     sorry = Situ.map(chat.failed, fn _ -> "I cannot reach the language model." end, type: :string)
 
     [Situ.map(chat.out, & &1.text, type: :string), sorry]

@@ -3,13 +3,13 @@ defmodule Situ.Chat do
     system: [
       type: {:optional, :string},
       default: nil,
-      doc: "How the model is to behave: the first turn of every conversation."
+      doc: "Instructions for the model: the first turn of every conversation."
     ],
     remember: [
       type: :non_neg_integer,
       default: 8,
       doc:
-        "How many questions and answers before this one the model is shown. Only where `concurrency` is 1."
+        "How many previous questions and answers are sent to the model; used only if `concurrency` is 1."
     ],
     tools: [
       type: {:list, {:struct, Situ.Chat.Tool}},
@@ -19,48 +19,49 @@ defmodule Situ.Chat do
     rounds: [
       type: :pos_integer,
       default: 5,
-      doc: "How often it may call tools and be asked again, for one question."
+      doc: "How many requests one question may take, each of which may call tools."
     ],
     concurrency: [
       type: :pos_integer,
       default: 1,
-      doc: "How many questions are asked at once; the answers come in the order of the questions."
+      doc: "How many questions are asked concurrently; answers keep the order of the questions."
     ],
     budget: [
       type: {:optional, :pos_integer},
       default: nil,
       doc:
-        "How many tokens may be used, read and written, in all; then questions fail with `:budget_spent`."
+        "How many tokens may be read and written in total; after that, questions fail with `:budget_spent`."
     ],
     failures: [
       type: {:in, [:raise, :emit]},
       default: :raise,
       doc:
-        "A question that fails: an error of the component, as `on_error` says, or a message on `:failed`."
+        "How a failed question is reported: as an error of the component (see `on_error`) or as a message on `:failed`."
     ]
   ]
   @schema @own ++ Situ.Chat.Service.schema()
 
   @moduledoc """
-  Asks a language model: any service that speaks OpenAI's protocol, on this machine or elsewhere.
+  Asks a language model, using any local or remote service that implements OpenAI's protocol.
 
       answers = Situ.via([in: questions], Situ.Chat, model: "llama3.2", system: "Answer in one sentence.")
       answers.text |> Situ.each(&IO.write/1)
 
-  Input `:in` is what a person says (a string), a `Situ.Chat.Turn` (with pictures), or a whole conversation (a list of
-  turns). A message on `:cancel` ends what is under way: the service is hung up on, what was said so far is the answer.
+  Input `:in` is a user's text (a string), a `Situ.Chat.Turn` (with images), or a whole conversation (a list of turns).
+  A message on `:cancel` ends the questions in flight: their connections are closed, and the text received so far
+  becomes the answer.
 
-  | output | gives | at |
+  | output | content | time |
   |---|---|---|
-  | `:text` | the pieces of the answer as they come | the question's time, a nanosecond later for each |
-  | `:calls` | tools that the model calls, `Situ.Chat.ToolCall` | likewise |
-  | `:out` | the whole, `Situ.Chat.Answer` | the question's time |
+  | `:text` | the answer in chunks, as they arrive | the question's time, one nanosecond later for each |
+  | `:calls` | the model's tool calls, `Situ.Chat.ToolCall` | likewise |
+  | `:out` | the complete answer, `Situ.Chat.Answer` | the question's time |
   | `:failed` | a `Situ.Error`, with `failures: :emit` | the question's time |
 
-  An answer belongs to its question, so it bears that time and joins with all that is known of it; how long it took is
-  the message's latency. A full component takes no more questions: its producer waits.
+  An answer has the time of its question, so it joins with other data of that time; the message's latency is the time
+  the answer took. When `concurrency` questions are in flight, the component accepts no more, and its producer waits.
 
-  In a program without pipelines, `ask/2`.
+  Programs without pipelines can call `ask/2`.
 
   ## Options
 
@@ -91,7 +92,7 @@ defmodule Situ.Chat do
   ]
 
   @doc """
-  One question, and the answer to it, in the calling process. Options as above, those of streams aside.
+  Asks one question and waits for the answer. Accepts the options above, except options that concern streams.
 
       {:ok, answer} = Situ.Chat.ask("Who painted the Night Watch?", model: "llama3.2")
   """
@@ -125,7 +126,7 @@ defmodule Situ.Chat do
         answer(ref, monitor)
 
       {:DOWN, ^monitor, _, _, reason} ->
-        {:error, Error.new(:chat_failed, "the question was broken off: #{inspect(reason)}")}
+        {:error, Error.new(:chat_failed, "the request process ended: #{inspect(reason)}")}
     end
   end
 
@@ -142,7 +143,7 @@ defmodule Situ.Chat do
   end
 
   @impl true
-  def describe(state), do: "#{length(state.jobs)} questions under way, #{state.spent} tokens used"
+  def describe(state), do: "#{length(state.jobs)} questions in flight, #{state.spent} tokens used"
 
   @impl true
   def handle_message(:in, %{data: question, originating_time: time}, _context, state) do
@@ -185,7 +186,7 @@ defmodule Situ.Chat do
   defp start(%{opts: %{budget: budget}, spent: spent} = state, job)
        when is_integer(budget) and spent >= budget do
     error =
-      Error.new(:budget_spent, "#{spent} of #{budget} tokens are used: no more requests are sent",
+      Error.new(:budget_spent, "#{spent} of #{budget} tokens are used; no more requests are sent",
         fix: "raise budget:"
       )
 
@@ -208,12 +209,12 @@ defmodule Situ.Chat do
   def handle_info({:situ_chat, ref, event}, _context, state),
     do: state |> note(ref, event) |> emit([])
 
-  # The error is a message of its own: what is done about it takes back nothing else.
+  # The error is raised in a separate message, so that its handling does not discard other results.
   def handle_info({:situ_chat_failed, error}, _context, _state), do: raise(error)
   def handle_info(:situ_chat_raised, _context, state), do: emit(%{state | raising?: false}, [])
   def handle_info({:hold_ended, :in}, _context, state), do: hold(state, [])
 
-  # The input has closed: what is under way is waited for, an event at a time.
+  # The input is closed, so the component waits for the questions in flight, one event at a time.
   def handle_info({:continue, :wait}, _context, %{jobs: []} = state), do: {[], state}
 
   def handle_info({:continue, :wait}, _context, %{raising?: true} = state),
@@ -223,7 +224,7 @@ defmodule Situ.Chat do
     receive do
       {:situ_chat, ref, event} -> state |> note(ref, event) |> emit([])
     after
-      # The pipeline may want something, too.
+      # Returns regularly so that the pipeline's own messages are handled.
       20 -> {[{:continue, :wait}], state}
     end
   end
@@ -255,7 +256,7 @@ defmodule Situ.Chat do
 
   defp noted(job, {:call, _} = event), do: %{job | events: [event | job.events]}
 
-  # The oldest question may speak; the others are kept until it has ended.
+  # Only the oldest question emits; events of the others are kept until it has ended.
   defp emit(%{raising?: true} = state, actions), do: hold(state, actions)
   defp emit(%{jobs: []} = state, actions), do: hold(state, actions)
 
@@ -293,7 +294,7 @@ defmodule Situ.Chat do
     hold(%{state | raising?: true}, actions)
   end
 
-  # Full: nothing is taken, so that the stream waits.
+  # At the limit, the input is held so that its producer waits.
   defp hold(%{closing?: true, jobs: jobs, raising?: raising?} = state, actions) do
     waiting = if jobs != [] or raising?, do: [{:continue, :wait}], else: []
     {Enum.reverse(actions) ++ waiting, state}

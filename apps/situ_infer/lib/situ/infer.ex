@@ -1,6 +1,6 @@
 defmodule Situ.Infer do
   @moduledoc """
-  Models on streams: voices, faces, lips, and who is speaking.
+  Runs models on streams to detect voices, faces and lips, and to determine who is speaking.
 
       voice = clip.audio |> Situ.Audio.resample(16_000) |> Situ.Infer.voice()
       mouths = clip.video |> Situ.Infer.MouthShape.detect()
@@ -9,56 +9,59 @@ defmodule Situ.Infer do
   | you have | you want | use |
   |---|---|---|
   | an ONNX file | to run it | `Situ.Infer.OnnxModel` on streams, `Situ.Infer.Model` |
-  | pictures, a network | what is in them | `Situ.Infer.Classifier` |
-  | pictures, a network | objects, their shapes | `Situ.Infer.ObjectDetector`, `Situ.Infer.Segmentation` |
-  | pictures | the person before the camera, as a mask | `Situ.Infer.PersonMask` |
-  | pictures | the body of that person: points, a skeleton | `Situ.Infer.BodyPose` |
-  | pictures | the text in them | `Situ.Infer.TextReader` |
-  | pictures, a service | what it sees | `Situ.Infer.PictureService` |
-  | rectangles | the same things through time | `Situ.Infer.Tracker` |
-  | 16 kHz sound | probability of speech | `voice/2` |
-  | 16 kHz sound | speech or not, segments | `voice_activity/2`, `Situ.Infer.VoiceActivity` |
+  | images, a network | to classify them | `Situ.Infer.Classifier` |
+  | images, a network | objects, their shapes | `Situ.Infer.ObjectDetector`, `Situ.Infer.Segmentation` |
+  | images | the person in front of the camera, as a mask | `Situ.Infer.PersonMask` |
+  | images | the body of that person: points, a skeleton | `Situ.Infer.BodyPose` |
+  | images | the text in them | `Situ.Infer.TextReader` |
+  | images, a service | a description | `Situ.Infer.PictureService` |
+  | rectangles | to track them over time | `Situ.Infer.Tracker` |
+  | 16 kHz audio | probability of speech | `voice/2` |
+  | 16 kHz audio | speech or not, segments | `voice_activity/2`, `Situ.Infer.VoiceActivity` |
   | log energy | speech or not, without a model | `Situ.Infer.SimpleVad` |
-  | pictures | faces | `Situ.Infer.FaceDetector`, `Situ.Infer.FaceTracker` |
-  | pictures and faces | 468 points on each | `Situ.Infer.FaceLandmarks` |
-  | pictures | mouths | `Situ.Infer.MouthShape` |
-  | 16 kHz sound | the words | `transcribe/2`, `Situ.Infer.SpeechRecognizer` |
-  | 16 kHz sound | whether a name is called | `wake_word/2` |
+  | images | faces | `Situ.Infer.FaceDetector`, `Situ.Infer.FaceTracker` |
+  | images and faces | 468 points on each | `Situ.Infer.FaceLandmarks` |
+  | images | mouths | `Situ.Infer.MouthShape` |
+  | 16 kHz audio | the words | `transcribe/2`, `Situ.Infer.SpeechRecognizer` |
+  | 16 kHz audio | to detect a spoken name | `wake_word/2` |
   | words without punctuation | sentences | `punctuate/2` |
-  | text | it spoken | `Situ.Infer.SpeechSynthesizer` |
-  | text | what somebody wants | `Situ.Intent.Detector` |
+  | text | speech | `Situ.Infer.SpeechSynthesizer` |
+  | text | the user's intent | `Situ.Intent.Detector` |
   | a question | a language model's answer | `Situ.Chat` |
-  | mouths and voice | who speaks | `who_speaks/3`, `Situ.Infer.ActiveSpeaker` |
-  | that and speech | utterances of one person each | `turns/3` |
+  | mouths and voice | who is speaking | `who_speaks/3`, `Situ.Infer.ActiveSpeaker` |
+  | the speaker and speech | utterances of one person each | `turns/3` |
 
-  Models run in ONNX Runtime, which `bin/setup` fetches; without it the components that need it stop the pipeline with
-  `:no_onnxruntime`, and the energy detectors go on working.
+  Models run in ONNX Runtime, which `bin/setup` installs. Without it, components that need it stop the pipeline with
+  `:no_onnxruntime`; the energy detectors keep working.
   """
   alias Situ.Infer.{ActiveSpeaker, SpeakerTurns, SpeechRecognizer, VoiceActivity}
   alias Situ.Stream
 
-  # Voices come every 32 ms, so one lies within 16 ms of any picture; the rest is room for clocks that differ a little.
+  # Voices have an interval of 32 ms, so every image has one within 16 ms; the rest tolerates slightly different clocks.
   @near 40_000_000
 
-  @doc "`Situ.Infer.Voice` every 32 ms: probability of speech, and level. Options: `Situ.Infer.VoiceActivity`."
+  @doc """
+  Emits a `Situ.Infer.Voice` (probability of speech, and level) every 32 ms. Options: `Situ.Infer.VoiceActivity`.
+  """
   @spec voice(Stream.t(), keyword()) :: Stream.t()
   def voice(sound, opts \\ []), do: hear(sound, opts).voice
 
-  @doc "Whether somebody speaks: a boolean every 32 ms, with hysteresis. Options: `Situ.Infer.VoiceActivity`."
+  @doc "Emits whether somebody is speaking, every 32 ms with hysteresis. Options: `Situ.Infer.VoiceActivity`."
   @spec voice_activity(Stream.t(), keyword()) :: Stream.t()
   def voice_activity(sound, opts \\ []), do: hear(sound, opts).speaking
 
   @doc """
-  `%{face id => speaking?}` for every picture, from the streams of mouths and of voices. Without sound (`nil`) nobody
-  speaks. Options: `Situ.Infer.ActiveSpeaker`.
+  Emits `%{face id => speaking?}` for every image, from the streams of mouths and of voices. Without audio (`nil`),
+  nobody is reported as speaking. Options: `Situ.Infer.ActiveSpeaker`.
   """
   @spec who_speaks(Stream.t(), Stream.t() | nil, keyword()) :: Stream.t()
   def who_speaks(mouths, voice, opts \\ []),
     do: mouths |> beside(voice) |> Situ.via(ActiveSpeaker, opts)
 
   @doc """
-  Speech or not, with an end where another face takes over without a pause (`Situ.Infer.SpeakerTurns`, whose options it
-  takes). `heard` are the outputs of `Situ.Infer.VoiceActivity`, `who` is what `who_speaks/3` gives.
+  Emits speech or not, and also ends speech when another face takes over without a pause. Options:
+  `Situ.Infer.SpeakerTurns`. `heard` contains the outputs of `Situ.Infer.VoiceActivity`, and `who` is the result of
+  `who_speaks/3`.
   """
   @spec turns(%{atom() => Stream.t()}, Stream.t(), keyword()) :: Stream.t()
   def turns(%{speaking: speaking, voice: voice}, who, opts \\ []) do
@@ -66,8 +69,8 @@ defmodule Situ.Infer do
   end
 
   @doc """
-  Recognises the speech in 16 kHz mono sound: a stream of `Situ.Infer.Speech.Utterance`, each at the time of its end.
-  `voice:` are options of `Situ.Infer.VoiceActivity`, the others those of `Situ.Infer.SpeechRecognizer`.
+  Recognizes speech in 16 kHz mono audio: emits `Situ.Infer.Speech.Utterance`s, each at the time of its end. `voice:`
+  are options of `Situ.Infer.VoiceActivity`; all other options are passed to `Situ.Infer.SpeechRecognizer`.
   """
   @spec transcribe(Stream.t(), keyword()) :: Stream.t()
   def transcribe(sound, opts \\ []) do
@@ -77,19 +80,19 @@ defmodule Situ.Infer do
   end
 
   @wake_word [
-    phrase: [type: :string, required: true, doc: "The name."],
+    phrase: [type: :string, required: true, doc: "The name to detect."],
     spotter: [
       type: :module,
       default: Situ.Infer.Speech.WakeWord.Spoken,
-      doc: "The module that hears it, a `Situ.Infer.Speech.WakeWord`."
+      doc: "The module that detects the name, a `Situ.Infer.Speech.WakeWord`."
     ],
-    options: [type: :keyword, default: [], doc: "Further options for its `load/1`."],
+    options: [type: :keyword, default: [], doc: "Additional options for its `load/1`."],
     voice: [type: :keyword, default: [], doc: "Options of `Situ.Infer.VoiceActivity`."]
   ]
 
   @doc """
-  Finds a name in 16 kHz mono sound: a `Situ.Infer.Speech.Utterance` with the name for each sentence with it, at
-  its end.
+  Detects a name in 16 kHz mono audio: for each sentence with the name, emits a `Situ.Infer.Speech.Utterance` at the end
+  of the sentence.
 
   #{Situ.Options.docs(@wake_word)}
   """
@@ -107,7 +110,7 @@ defmodule Situ.Infer do
     )
   end
 
-  @doc "Utterances whose words are made sentences. Options: `Situ.Infer.Punctuator`."
+  @doc "Adds punctuation to utterances. Options: `Situ.Infer.Punctuator`."
   @spec punctuate(Stream.t(), keyword()) :: Stream.t()
   def punctuate(heard, opts \\ []), do: Situ.via(heard, Situ.Infer.Punctuator, opts)
 

@@ -1,7 +1,7 @@
 defmodule Situ.Intent do
   @moduledoc """
-  The intent of a sentence: the `query` (its text), the `intents` it may have (best first, with a score of 0..1) and
-  the `entities` in it (`minutes` 5, `name` "tea").
+  The intent of a sentence: the `query` (its text), the possible `intents` (best first, with a score of 0..1) and the
+  `entities` in it (`minutes` 5, `name` "tea").
 
       iex> {:ok, grammar} = Situ.Intent.Grammar.load(grammar: \"""
       ...> #JSGF V1.0; grammar kitchen;
@@ -11,8 +11,8 @@ defmodule Situ.Intent do
       iex> {Situ.Intent.name(intent), Situ.Intent.entity(intent, "minutes")}
       {"timer", "25"}
 
-  Two ways lead there, both a `Situ.Intent.Recognizer`: a grammar (`Situ.Intent.Grammar`) and a language model
-  (`Situ.Intent.Model`). On streams: `Situ.Intent.Detector`.
+  Two modules implement `Situ.Intent.Recognizer`: `Situ.Intent.Grammar` (a grammar) and `Situ.Intent.Model` (a language
+  model). On streams, use `Situ.Intent.Detector`.
   """
 
   @enforce_keys [:query]
@@ -22,18 +22,18 @@ defmodule Situ.Intent do
   @type entity :: %{type: String.t(), value: String.t(), score: float()}
   @type t :: %__MODULE__{query: String.t(), intents: [intent()], entities: [entity()]}
 
-  @doc "The likeliest intent, or `nil`."
+  @doc "Returns the likeliest intent, or `nil`."
   @spec name(t()) :: String.t() | nil
   def name(%__MODULE__{intents: []}), do: nil
   def name(%__MODULE__{intents: [best | _]}), do: best.value
 
-  @doc "The first entity of this type, or `nil`."
+  @doc "Returns the value of the first entity of this type, or `nil`."
   @spec entity(t(), String.t()) :: String.t() | nil
   def entity(%__MODULE__{entities: entities}, type),
     do: Enum.find_value(entities, &(&1.type == type && &1.value))
 
   @doc """
-  One line for people.
+  Formats the intent as one line of text.
 
       iex> Situ.Intent.format(%Situ.Intent{query: "what time is it", intents: [%{value: "time", score: 1.0}]})
       "time: \\"what time is it\\""

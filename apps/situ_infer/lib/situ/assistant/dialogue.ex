@@ -3,34 +3,34 @@ defmodule Situ.Assistant.Dialogue do
     wake: [
       type: {:optional, :string},
       default: "computer",
-      doc: "Its name; `nil`: it answers to everything."
+      doc: "The assistant's name; with `nil` it responds to every sentence."
     ],
     attention: [
       type: :time_ns,
       default: 8_000_000_000,
-      doc: "How long after its name, or after an answer, it needs no name, ns."
+      doc: "How long the name may be omitted after the name or a reply, ns."
     ],
     grammar: [
       type: {:optional, :string},
       default: nil,
-      doc: "More rules, for intents of the program around it."
+      doc: "An additional grammar with the intents of the surrounding program."
     ],
     ask: [type: :boolean, default: false, doc: "Emit sentences that no rule matches on `:ask`."],
     local_time: [
       type: {:fun, 1},
       default: &Situ.Assistant.Dialogue.local_time/1,
-      doc: "The date and time at a moment (ns), where the assistant stands."
+      doc: "Converts a time (ns) to the local date and time of the assistant."
     ]
   ]
 
   @moduledoc """
-  The conversation: whether it is meant, what is wanted, what is done and said.
+  Manages the conversation: decides whether a sentence is addressed to the assistant, detects its intent, and acts.
 
-  Input `:heard` is what was said (`Situ.Infer.Speech.Utterance`). Outputs: `:intent` what was wanted, `:said` what to
-  say, `:ask` a question for somebody who knows more. Timers run by the pipeline's clock.
+  Input `:heard` contains recognized utterances (`Situ.Infer.Speech.Utterance`). Outputs are `:intent` (detected
+  intents), `:said` (replies) and `:ask` (questions for a language model). Timers use the pipeline's clock.
 
-  A name is recognised by its sound as written: one letter of it may be wrong in six. Echoes of what it said itself are
-  nobody's words.
+  The name is matched approximately: about one wrong letter in six is tolerated. Echoes of the assistant's own speech
+  are ignored.
 
   ## Options
 
@@ -46,7 +46,7 @@ defmodule Situ.Assistant.Dialogue do
   alias Situ.Intent
   alias Situ.Intent.Grammar
 
-  # How alike two words must be (Jaro).
+  # The minimum Jaro similarity of two words that count as equal.
   @alike 0.88
 
   defstruct [
@@ -60,7 +60,7 @@ defmodule Situ.Assistant.Dialogue do
     last: nil
   ]
 
-  @doc "The date and time at a moment, in this machine's time zone."
+  @doc "Converts a time to the date and time in this machine's time zone."
   @spec local_time(Situ.Time.t()) :: :calendar.datetime()
   def local_time(ns), do: :calendar.system_time_to_local_time(ns, :nanosecond)
 
@@ -86,7 +86,7 @@ defmodule Situ.Assistant.Dialogue do
       else: utterance.text |> meant(state.wake) |> heard(utterance, time, state)
   end
 
-  # It was called by its name and told nothing yet.
+  # An empty text means that the user said only the name.
   defp heard({:called, ""}, _utterance, time, state), do: say("Yes?", time, attend(state, time))
   defp heard({:called, text}, _utterance, time, state), do: told(text, time, state)
 
@@ -126,22 +126,22 @@ defmodule Situ.Assistant.Dialogue do
   defp done(:cancel, _text, time, _intent, %{timers: timers} = state) do
     text =
       if timers == %{},
-        do: "There is no timer.",
-        else: "I forget the #{if map_size(timers) > 1, do: "timers", else: "timer"}."
+        do: "No timer is set.",
+        else: "I canceled the #{if map_size(timers) > 1, do: "timers", else: "timer"}."
 
     say(text, time, attend(%{state | timers: %{}}, time))
   end
 
   defp done(:quiet, _text, _time, _intent, state), do: {[], %{state | attentive_to: nil}}
 
-  # An answer of a model may be long, and is not its own echo: whoever goes on calls it by its name.
+  # A model's reply may be long and is not in `echo`, so the user must say the name to continue.
   defp done(:unknown, text, time, %{intents: []}, %{opts: %{ask: true}} = state),
     do: {[{:ask, time, text}], %{state | attentive_to: nil}}
 
   defp done(:unknown, _text, time, %{intents: []}, state),
     do: say("I did not understand that.", time, attend(state, time))
 
-  # The program around it has this intent.
+  # The intent belongs to the surrounding program, which reacts to it.
   defp done(:unknown, _text, time, _intent, state), do: {[], attend(state, time)}
 
   defp attend(state, time), do: %{state | attentive_to: time + state.opts.attention}
@@ -168,7 +168,7 @@ defmodule Situ.Assistant.Dialogue do
   end
 
   @doc """
-  Whether somebody says its name first, and what follows; a greeting in front of it does not count.
+  Returns the words after the assistant's name if the text begins with the name; a preceding greeting is skipped.
 
       iex> Situ.Assistant.Dialogue.meant("Hey, Computer! What time is it?", ["computer"])
       {:called, "what time is it"}

@@ -1,7 +1,7 @@
 defmodule Situ.Assistant.Echo do
   @moduledoc """
-  Whether somebody said something, or the microphone heard the assistant itself: words that it was just saying are its
-  own. Pure.
+  Distinguishes a user's speech from the assistant's own voice in the microphone: words that the assistant is currently
+  speaking are its own. Pure.
 
       iex> echo = Situ.Assistant.Echo.new() |> Situ.Assistant.Echo.said(0, "The timer is set for five minutes.")
       iex> Situ.Assistant.Echo.own?(echo, 1_000_000_000, "timer set for five minutes")
@@ -13,20 +13,20 @@ defmodule Situ.Assistant.Echo do
   """
   alias Situ.Infer.Speech.Utterance
 
-  # About as long as a letter takes slow voices, and what speakers, rooms and microphones add.
+  # The time per letter of slow voices, and the delay added by speakers, rooms and microphones.
   @letter 90_000_000
   @delay 1_000_000_000
-  # A recogniser gets some words of an echo wrong.
+  # The share of matching words is below 1 because a recognizer gets some words of an echo wrong.
   @share 0.6
 
   defstruct said: []
   @type t :: %__MODULE__{said: [{until :: Situ.Time.t(), MapSet.t()}]}
 
-  @doc "Nothing was said."
+  @doc "Returns an empty echo memory."
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "The assistant says this at `time`, or after what it was saying."
+  @doc "Adds a text that the assistant speaks at `time`, or after the texts it is already speaking."
   @spec said(t(), Situ.Time.t(), String.t()) :: t()
   def said(%__MODULE__{said: said} = echo, time, text) do
     begins = Enum.reduce(said, time, fn {until, _}, begins -> max(begins, until - @delay) end)
@@ -35,7 +35,7 @@ defmodule Situ.Assistant.Echo do
     %{echo | said: [{until, MapSet.new(Utterance.words(text))} | kept]}
   end
 
-  @doc "Whether what was heard from `from` on is what the assistant was saying then."
+  @doc "Returns whether the text heard at `from` consists mostly of words that the assistant was speaking then."
   @spec own?(t(), Situ.Time.t(), String.t()) :: boolean()
   def own?(%__MODULE__{said: said}, from, text) do
     words = Utterance.words(text)

@@ -1,11 +1,11 @@
 defmodule Situ.Assistant.Interruption do
   @moduledoc """
-  Says when somebody talks while the assistant does: at the first words that are not its own (`Situ.Assistant.Echo`)
-  and have lasted half a second, since of less a recogniser makes words that nobody said.
+  Detects when a user interrupts the assistant. It triggers on the first words that are not the assistant's own
+  (`Situ.Assistant.Echo`) and have lasted half a second; from shorter audio, recognizers produce words that nobody said.
 
-  Inputs `:partial` and `:heard` are what was recognised (`Situ.Infer.Speech.Utterance`), `:said` what the assistant
-  says.
-  Output `:out` is the words, once for each utterance, at the time up to which they were heard.
+  Inputs `:partial` and `:heard` contain recognized utterances (`Situ.Infer.Speech.Utterance`), and `:said` contains the
+  assistant's replies.
+  Output `:out` emits the words once for each utterance, at the time up to which they were heard.
   """
   use Situ.Component,
     inputs: [

@@ -1,22 +1,22 @@
 defmodule Situ.Assistant.Player do
   @schema [
-    piece: [type: :pos_integer, default: 20_000_000, doc: "Length of one piece, ns."],
+    piece: [type: :pos_integer, default: 20_000_000, doc: "Length of one chunk, ns."],
     ahead: [
       type: :time_ns,
       default: 80_000_000,
       doc:
-        "How much sound is given to the speaker before its time, ns: what an interruption cannot take back."
+        "How far ahead of playback audio is emitted, ns; an interruption cannot stop this much audio."
     ]
   ]
 
   @moduledoc """
-  Plays sounds one after the other in real time, in small pieces, and falls silent when it is told to.
+  Plays audio buffers one after the other in real time, in small chunks, and stops on request.
 
-  Inputs `:in` and `:answers` are whole sounds (all of one format), as `Situ.Infer.SpeechSynthesizer` makes them with
-  `stamp: :text`. A message on `:stop` ends the sound that is played and forgets those whose texts are older. Output
-  `:out` is the pieces, each at its end; `:speaking` says whether there is sound, at each change.
+  Inputs `:in` and `:answers` contain complete audio buffers (all of one format), as `Situ.Infer.SpeechSynthesizer`
+  emits them with `stamp: :text`. A message on `:stop` ends the current audio and discards queued audio whose text is
+  older. Output `:out` emits the chunks, each at its end; `:speaking` emits whether audio is playing, at each change.
 
-  When the inputs end, what is left comes at once.
+  When the inputs end, the remaining audio is emitted immediately.
 
   ## Options
 
@@ -40,7 +40,7 @@ defmodule Situ.Assistant.Player do
 
   @impl true
   def handle_message(:stop, %{originating_time: time}, context, state) do
-    # An answer decided after the user spoke replies to that speech, so it is still played.
+    # A reply decided after the user spoke responds to that speech, so it is still played.
     waiting = Enum.filter(state.waiting, fn {decided, _} -> decided >= time end)
     step(%{state | waiting: waiting}, context.now)
   end
@@ -73,7 +73,7 @@ defmodule Situ.Assistant.Player do
 
   defp step(state, now), do: play(state, [], now, :due)
 
-  # The pieces that are due, then a look at the clock when the next one is.
+  # Emits the chunks that are due, then sets a timer for the next one.
   defp play(%{waiting: [{_, []} | rest]} = state, actions, now, which),
     do: play(%{state | waiting: rest}, actions, now, which)
 
@@ -99,7 +99,7 @@ defmodule Situ.Assistant.Player do
     end
   end
 
-  # The sound emitted ahead is still being played.
+  # Audio that was emitted ahead of time is still playing.
   defp silent_at(state), do: state.head + state.opts.ahead
   defp done({actions, state}), do: {Enum.reverse(actions), state}
 

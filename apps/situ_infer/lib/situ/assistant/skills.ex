@@ -1,7 +1,7 @@
 defmodule Situ.Assistant.Skills do
   @moduledoc """
-  The assistant's own skills: it tells the time and the date, sets and cancels timers, stops talking. Pure: from an
-  intent and the time follow the answer and the action.
+  The assistant's built-in skills: it reports the time and the date, sets and cancels timers, and stops talking. Pure:
+  the reply and the action depend only on the intent and the time.
 
       iex> {:ok, grammar} = Situ.Intent.Grammar.load(grammar: Situ.Assistant.Skills.grammar())
       iex> {:ok, intent} = Situ.Intent.Grammar.detect(grammar, "set a timer for five minutes")
@@ -40,11 +40,11 @@ defmodule Situ.Assistant.Skills do
           | :quiet
           | :unknown
 
-  @doc "The sentences it understands, as a grammar."
+  @doc "Returns the grammar of the sentences that these skills understand."
   @spec grammar() :: String.t()
   def grammar, do: @grammar
 
-  @doc "The answer or action for an intent when the local time is `now`."
+  @doc "Returns the reply or action for an intent when the local time is `now`."
   @spec answer(Intent.t(), :calendar.datetime()) :: deed()
   def answer(%Intent{} = intent, now) do
     case Intent.name(intent) do
@@ -73,7 +73,7 @@ defmodule Situ.Assistant.Skills do
   end
 
   @doc """
-  The time in words.
+  Formats the time in words.
 
       iex> Situ.Assistant.Skills.time({{2026, 11, 22}, {9, 5, 0}})
       "It is nine oh five."
@@ -91,7 +91,7 @@ defmodule Situ.Assistant.Skills do
   def time({_, {hour, minute, _}}), do: "It is #{Number.words(hour)} #{Number.words(minute)}."
 
   @doc """
-  The date in words.
+  Formats the date in words.
 
       iex> Situ.Assistant.Skills.date({{2026, 11, 22}, {9, 5, 0}})
       "It is Sunday, November the twenty second."

@@ -1,12 +1,12 @@
 defmodule Situ.Chat.Answer do
   @moduledoc """
-  The answer of a language model: `text`, the tools it wants called (`calls`), why it ended (`finish`), and how many
-  tokens it read and wrote (`tokens`; `exact?` is false if the service gave no numbers and they were counted here).
+  The answer of a language model: `text`, the requested tool calls (`calls`), why it ended (`finish`), and the number of
+  tokens read and written (`tokens`). `exact?` is false if the service reported no numbers and they were counted here.
 
-  `finish` is `:stop`, `:length` (cut at the most it may say), `:calls` (it waits for the tools), `:filtered` or
-  `:cancelled`.
+  `finish` is `:stop`, `:length` (cut off at the maximum length), `:calls` (the model waits for the tools), `:filtered`
+  or `:cancelled`.
 
-  A stream of pieces is folded into it:
+  It is built from the events of a stream:
 
       iex> alias Situ.Chat.Answer
       iex> event = fn text -> ~s({"choices":[{"delta":{"content":"\#{text}"},"finish_reason":"stop"}]}) end
@@ -35,7 +35,7 @@ defmodule Situ.Chat.Answer do
           exact?: boolean()
         }
 
-  @typedoc "An answer that is on its way."
+  @typedoc "An answer that is still being received."
   @type piece :: %{
           text: iodata(),
           bytes: non_neg_integer(),
@@ -46,11 +46,11 @@ defmodule Situ.Chat.Answer do
           usage: tokens() | nil
         }
 
-  @doc "Nothing has come yet."
+  @doc "Returns a partial answer without content."
   @spec piece() :: piece()
   def piece, do: %{text: [], bytes: 0, count: 0, calls: %{}, places: %{}, finish: nil, usage: nil}
 
-  @doc "One event of the stream, or the whole of an answer that was not streamed: the text it adds."
+  @doc "Adds one streamed event (or a complete, non-streamed response) and returns the text it adds."
   @spec fold(piece(), binary()) :: {:ok, [String.t()], piece()} | {:error, Error.t()}
   def fold(piece, json) do
     case decode(json) do
@@ -62,13 +62,13 @@ defmodule Situ.Chat.Answer do
 
       _ ->
         {:error,
-         Error.new(:bad_response, "the service sent an event that is no JSON",
-           fix: "check that the URL is that of an OpenAI-compatible service"
+         Error.new(:bad_response, "the service sent an event that is not valid JSON",
+           fix: "check that the URL belongs to an OpenAI-compatible service"
          )}
     end
   end
 
-  # Services that cut text between the halves of a character (in UTF-16) send escapes that stand for none.
+  # Services that split text between UTF-16 surrogates send lone surrogates, which are replaced by U+FFFD.
   defp decode(json) do
     with {:error, _} <- Situ.JSON.decode(json),
          do: half() |> Regex.replace(json, "\\\\ufffd") |> Situ.JSON.decode()
@@ -79,7 +79,7 @@ defmodule Situ.Chat.Answer do
        (?<! \\u[dD][89abAB][[:xdigit:]]{2} )  \\u[dD][c-fC-F][[:xdigit:]]{2}/x
   end
 
-  @doc "A service's error text, short enough for a message."
+  @doc "Extracts a service's error text, shortened to 300 characters."
   @spec complaint(term()) :: String.t()
   def complaint(%{"message" => message}) when is_binary(message),
     do: String.slice(message, 0, 300)
@@ -90,7 +90,7 @@ defmodule Situ.Chat.Answer do
   def complaint(text) when is_binary(text) and text != "", do: String.slice(text, 0, 300)
   def complaint(_), do: "no reason given"
 
-  @doc "The answer, once its stream has ended."
+  @doc "Builds the answer after its stream has ended."
   @spec whole(piece()) :: t()
   def whole(piece) do
     calls = for {_, {id, name, raw}} <- Enum.sort(piece.calls), do: call(id, name, raw)
@@ -131,8 +131,8 @@ defmodule Situ.Chat.Answer do
   defp part(%{"message" => %{} = said}), do: said
   defp part(_), do: %{}
 
-  # The parts of a call bear its number; id and name come with the first. Some services give every call the number 0,
-  # or none: then another id is another call. Some repeat id and name with every part.
+  # The parts of a call have its number; the first part has the id and the name. Some services number every call 0 or
+  # not at all, so a different id starts a new call. Some repeat the id and the name in every part.
   defp called({%{} = part, nth}, piece) do
     number = if is_integer(part["index"]), do: part["index"], else: nth
     place = place(piece, number, text(part["id"]))
@@ -151,7 +151,7 @@ defmodule Situ.Chat.Answer do
 
   defp called(_, piece), do: piece
 
-  # Places are in the order in which calls came.
+  # Positions follow the order in which the calls arrived.
   defp place(%{places: places, calls: calls}, number, id) do
     with place when place != nil <- places[number],
          {known, _, _} when known == id or id == "" or known == "" <- calls[place] do
@@ -178,9 +178,9 @@ defmodule Situ.Chat.Answer do
 
   defp too_long do
     {:error,
-     Error.new(:too_long, "the answer of the service does not end",
-       why: "it has more than #{@most_bytes} bytes, or #{@most_calls} calls of tools",
-       fix: "limit it by max_tokens:"
+     Error.new(:too_long, "the service's response is too long",
+       why: "it has more than #{@most_bytes} bytes or #{@most_calls} tool calls",
+       fix: "limit it with max_tokens:"
      )}
   end
 

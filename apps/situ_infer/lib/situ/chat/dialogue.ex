@@ -1,13 +1,13 @@
 defmodule Situ.Chat.Dialogue do
   @moduledoc false
-  # One question to its end: asked, the tools called that have a function, asked again with their results, until the
-  # model has answered. Runs in a process of its own, which the asker may kill.
+  # Asks one question, runs the requested tools, and asks again with their results until the model has answered. Runs in
+  # its own process, which the caller may kill.
   alias Situ.Chat.{Answer, Service, Tool, Turn}
   alias Situ.Error
 
   @type event :: {:text, String.t()} | {:call, Situ.Chat.ToolCall.t()}
 
-  @doc "The answer, with all that was said and all tokens that were used on the way to it."
+  @doc "Returns the answer, with the text and the token counts of all rounds."
   @spec run(Service.t(), [Turn.t()], [Tool.t()], pos_integer(), (event() -> any())) ::
           {:ok, Answer.t()} | {:error, Error.t()}
   def run(service, turns, tools, rounds, tell),
@@ -15,8 +15,8 @@ defmodule Situ.Chat.Dialogue do
 
   defp run(_service, _turns, _tools, 0, _tell, _so_far) do
     {:error,
-     Error.new(:too_many_calls, "the model calls one tool after another and never answers",
-       fix: "raise rounds:, or say in system: when the tools are to be used"
+     Error.new(:too_many_calls, "the model kept calling tools and gave no final answer",
+       fix: "raise rounds:, or explain in system: when to use the tools"
      )}
   end
 
@@ -41,7 +41,7 @@ defmodule Situ.Chat.Dialogue do
     end
   end
 
-  # A tool that is not there is answered, too: the model should know.
+  # Calls of unknown tools also get a result, so that the model learns about the mistake.
   defp runs?(tools, call) do
     case Enum.find(tools, &(&1.name == call.name)) do
       %{run: nil} -> false
@@ -50,8 +50,8 @@ defmodule Situ.Chat.Dialogue do
   end
 
   @doc """
-  Runs it in a process of its own, which ends with `owner`. `owner` gets `{:situ_chat, ref, event}`, in the end
-  `{:situ_chat, ref, {:done, result}}`.
+  Starts `run/5` in a separate process, which ends with `owner`. `owner` receives `{:situ_chat, ref, event}` messages,
+  and finally `{:situ_chat, ref, {:done, result}}`.
   """
   @spec start(pid(), Service.t(), [Turn.t()], [Tool.t()], pos_integer()) :: {pid(), reference()}
   def start(owner, service, turns, tools, rounds) do
@@ -78,7 +78,7 @@ defmodule Situ.Chat.Dialogue do
     end)
   end
 
-  # A crash report shows the arguments of functions, the key among them.
+  # Crashes are caught because a crash report would show the arguments, including the key.
   defp guarded(fun) do
     fun.()
   catch
@@ -87,7 +87,7 @@ defmodule Situ.Chat.Dialogue do
 
       {:error,
        Error.new(:chat_failed, "asking the language model failed: #{inspect(name)}",
-         why: "a defect of Situ, or of a function it was given"
+         why: "a bug in Situ, or in a function passed to it"
        )}
   end
 end

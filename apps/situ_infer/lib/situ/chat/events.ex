@@ -1,18 +1,17 @@
 defmodule Situ.Chat.Events do
   @moduledoc """
-  Server-sent events (WHATWG HTML, 9.2) out of bytes that are cut anywhere: the `data` of each.
+  Parses server-sent events (WHATWG HTML, 9.2) from arbitrarily split bytes, and returns the `data` of each event.
 
       iex> {:ok, [], events} = Situ.Chat.Events.push(Situ.Chat.Events.new(), "data: one\\n")
       iex> {:ok, data, _} = Situ.Chat.Events.push(events, "\\n: a comment\\n\\ndata: two\\r\\n\\r\\n")
       iex> data
       ["one", "two"]
 
-  Lines end with LF, CRLF or CR; a byte order mark in front of the first is none of it. An event of more than 1 MiB is
-  an error.
+  Lines end with LF, CRLF or CR. A leading byte order mark is skipped. An event of more than 1 MiB is an error.
   """
   @most 1_048_576
 
-  # A CR at the end of the bytes may be half of a CRLF: it ends the line, and an LF right after it is nothing.
+  # A CR at the end of the bytes may be half of a CRLF: it ends the line, and a directly following LF is skipped.
   defstruct line: "", data: [], size: 0, cr?: false, begun?: false
 
   @type t :: %__MODULE__{
@@ -23,11 +22,11 @@ defmodule Situ.Chat.Events do
           begun?: boolean()
         }
 
-  @doc "Nothing has come."
+  @doc "Returns an empty parser state."
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "The data of the events that `bytes` complete, in order."
+  @doc "Adds `bytes` and returns the data of the events that are now complete, in order."
   @spec push(t(), binary()) :: {:ok, [binary()], t()} | {:error, :too_long}
   def push(%__MODULE__{cr?: true} = events, "\n" <> bytes),
     do: push(%{events | cr?: false}, bytes)

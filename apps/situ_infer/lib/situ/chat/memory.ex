@@ -1,6 +1,6 @@
 defmodule Situ.Chat.Memory do
   @moduledoc false
-  # The conversation so far: the last questions with their answers. Pure.
+  # Stores the conversation so far: the most recent questions with their answers. Pure.
   alias Situ.Chat.{Answer, Turn}
   alias Situ.Error
 
@@ -10,7 +10,7 @@ defmodule Situ.Chat.Memory do
   @spec new(non_neg_integer()) :: t()
   def new(places), do: %__MODULE__{places: places}
 
-  @doc "The component's input as turns."
+  @doc "Converts the component's input to turns."
   @spec turns(term()) :: {:ok, [Turn.t()]} | {:error, Error.t()}
   def turns(text) when is_binary(text) do
     if String.valid?(text), do: {:ok, [Turn.user(text)]}, else: bad(text)
@@ -29,21 +29,21 @@ defmodule Situ.Chat.Memory do
   defp bad(value) do
     {:error,
      Error.new(:bad_question, "not a question: #{inspect(value, limit: 5, printable_limit: 40)}",
-       fix: "give a text in UTF-8, a Situ.Chat.Turn or a list of them"
+       fix: "pass UTF-8 text, a Situ.Chat.Turn, or a list of turns"
      )}
   end
 
-  @doc "The turns behind the earlier ones. A whole conversation as input replaces the earlier turns."
+  @doc "Appends the turns to the earlier ones. A whole conversation as input replaces the earlier turns."
   @spec with(t(), [Turn.t()]) :: [Turn.t()]
   def with(%__MODULE__{} = memory, [_] = turns),
     do: memory.turns |> Enum.reverse([turns]) |> Enum.concat()
 
   def with(_memory, turns), do: turns
 
-  @doc "Remembers a question and its answer."
+  @doc "Adds a question and its answer."
   @spec add(t(), [Turn.t()], Answer.t()) :: t()
   def add(%__MODULE__{} = memory, [%Turn{images: images} = turn], %Answer{calls: []} = answer) do
-    # Pictures are shown once.
+    # Images are sent only once.
     turn = if images == [], do: turn, else: %{turn | images: []}
 
     %{

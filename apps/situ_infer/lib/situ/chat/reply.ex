@@ -1,14 +1,14 @@
 defmodule Situ.Chat.Reply do
   @moduledoc false
-  # One response of a service, event by event (`Situ.Infer.Http`), and what is to be done about it in the end: an
-  # answer, an error, or another try. Pure.
+  # Collects one response of a service from its events (`Situ.Infer.Http`) and decides the outcome: an answer, an error,
+  # or another attempt. Pure.
   alias Situ.Chat.{Answer, Events}
   alias Situ.Error
 
-  # So much of a response that is no success is read.
+  # At most this many bytes of an error response are read.
   @complaint_bytes 65_536
   @longest_wait_s 30
-  # Too early, too many, out of order for now: the service may answer the next time.
+  # These statuses are temporary, so the request is worth repeating.
   @again [408, 409, 425, 429, 500, 502, 503, 504, 529]
 
   defstruct status: nil,
@@ -27,7 +27,7 @@ defmodule Situ.Chat.Reply do
   @spec new() :: t()
   def new, do: %__MODULE__{events: Events.new(), piece: Answer.piece()}
 
-  @doc "The text that an event adds; `:halt` when the reply is complete."
+  @doc "Adds an event and returns its text; `:halt` means that the reply is complete."
   @spec take(t(), Situ.Infer.Http.event()) :: {:cont | :halt, [String.t()], t()}
   def take(reply, {:status, status, headers}) do
     headers = Map.new(headers)
@@ -61,7 +61,7 @@ defmodule Situ.Chat.Reply do
   end
 
   defp too_long,
-    do: Error.new(:too_long, "the answer of the service is too long", fix: "set max_tokens:")
+    do: Error.new(:too_long, "the service's response is too long", fix: "set max_tokens:")
 
   defp fold([], texts, reply), do: {:cont, Enum.reverse(texts), reply}
 
@@ -80,9 +80,9 @@ defmodule Situ.Chat.Reply do
   end
 
   @doc """
-  The result. `failure` is the reason why the connection ended early, if it did. `{:again, ms | nil, error}`: worth
-  another try, after so many milliseconds if the service named a time. Once text has been emitted there is no second
-  try, but an error.
+  Returns the result. `failure` is the reason why the connection ended early, if it did. `{:again, ms | nil, error}`
+  asks for another attempt, after `ms` milliseconds if the service specified a delay. Once text has been emitted, the
+  result is an error instead of another attempt.
   """
   @spec close(t(), Error.t() | nil) ::
           {:ok, Answer.t()} | {:again, non_neg_integer() | nil, Error.t()} | {:error, Error.t()}
@@ -102,12 +102,12 @@ defmodule Situ.Chat.Reply do
     end
   end
 
-  # Some services end the stream without saying so, but none before the reason of its end.
+  # Some services end the stream without `[DONE]`, but none of them before the finish reason.
   def close(%{kind: :stream, piece: piece} = reply, nil) do
     if reply.done? or piece.finish != nil,
       do: {:ok, Answer.whole(piece)},
       else:
-        close(reply, Error.new(:cut_off, "the service ended its answer before it was complete"))
+        close(reply, Error.new(:cut_off, "the service's response ended before it was complete"))
   end
 
   def close(%{kind: :complaint, status: status} = reply, nil) do
@@ -118,7 +118,7 @@ defmodule Situ.Chat.Reply do
   defp partly(error, reply),
     do: %{error | meta: Map.put(error.meta, :text, IO.iodata_to_binary(reply.piece.text))}
 
-  # Pages are not for people who read errors.
+  # HTML error pages are not readable in an error message, so they are dropped.
   defp complaint(body) do
     case Situ.JSON.decode(body) do
       {:ok, json} ->
@@ -130,25 +130,25 @@ defmodule Situ.Chat.Reply do
   end
 
   defp refused(status, _complaint) when status in [401, 403] do
-    # A service's words about a key may hold the key.
-    Error.new(:refused, "the service refused the key (HTTP #{status})",
-      fix: "set the variable that key: names to a key which may use this model"
+    # The service's error text may contain the key, so it is not shown.
+    Error.new(:refused, "the service rejected the key (HTTP #{status})",
+      fix: "set the environment variable named by key: to a key that may use this model"
     )
   end
 
   defp refused(status, _complaint) when status in [301, 302, 303, 307, 308] do
-    Error.new(:refused, "the service is somewhere else (HTTP #{status})",
-      why: "redirections are not followed: the question and the key go only where url: says",
-      fix: "set url: to the new address (https:// instead of http://, perhaps)"
+    Error.new(:refused, "the service redirects to a different URL (HTTP #{status})",
+      why: "redirects are not followed, because the question and the key are sent only to url:",
+      fix: "set url: to the new address (perhaps https:// instead of http://)"
     )
   end
 
   defp refused(status, complaint) when status in @again,
-    do: Error.new(:service_failed, "the service could not answer (HTTP #{status}): #{complaint}")
+    do: Error.new(:service_failed, "the service failed (HTTP #{status}): #{complaint}")
 
   defp refused(status, complaint) do
-    Error.new(:refused, "the service refused the request (HTTP #{status}): #{complaint}",
-      fix: "check the URL and the name of the model"
+    Error.new(:refused, "the service rejected the request (HTTP #{status}): #{complaint}",
+      fix: "check the URL and the model name"
     )
   end
 

@@ -4,14 +4,14 @@ defmodule Situ.Chat.Service do
       type: :string,
       default: "http://127.0.0.1:11434/v1",
       doc:
-        "Where the service is; `/chat/completions` follows its path (and `?api-version=...` stays behind that)."
+        "The URL of the service; `/chat/completions` is appended to its path, before any query (`?api-version=...`)."
     ],
-    model: [type: :string, required: true, doc: "Which model is to answer."],
+    model: [type: :string, required: true, doc: "The name of the model."],
     key: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "The **name** of the environment variable that holds the key, such as \"OPENAI_API_KEY\"; `nil`: none is sent."
+        "The **name** of the environment variable with the key, such as \"OPENAI_API_KEY\"; `nil` sends no key."
     ],
     key_header: [
       type: {:in, [:bearer, :api_key]},
@@ -21,36 +21,36 @@ defmodule Situ.Chat.Service do
     temperature: [
       type: {:optional, {:range, 0, 2}},
       default: nil,
-      doc: "How freely it chooses words; `nil`: as the service likes."
+      doc: "The sampling temperature; `nil` uses the service's default."
     ],
     max_tokens: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "The most it may write in one answer."
+      doc: "The maximum number of tokens in one answer."
     ],
     usage: [
       type: :boolean,
       default: true,
-      doc: "Ask for the count of tokens; `false` for services that refuse the question."
+      doc: "Ask for token counts; use `false` for services that reject this option."
     ],
     retries: [
       type: :non_neg_integer,
       default: 3,
-      doc: "How often a request that failed before its first word is tried again."
+      doc: "How often a request that failed before its first output is retried."
     ],
     backoff: [
       type: :pos_integer,
       default: 500,
-      doc: "The first wait before that, ms; it doubles each time, up to 30 s."
+      doc: "The delay before the first retry, ms; it doubles each time, up to 30 s."
     ]
   ]
   @schema @own ++ Situ.Infer.Http.schema()
 
   @moduledoc """
-  A language model behind an OpenAI-compatible service, as one knows it: where, which model, whose key, how patient.
+  A connection to a language model on an OpenAI-compatible service: its URL, model, key and retry policy.
 
-  Keys are read from the environment at the moment they are sent, and are nowhere else: not in options, states, errors,
-  logs or URLs. A key goes only over TLS, or to this machine.
+  Keys are read from the environment when they are sent, and are not stored in options, states, errors, logs or URLs. A
+  key is sent only over TLS or to this machine.
 
   ## Options
 
@@ -64,11 +64,11 @@ defmodule Situ.Chat.Service do
   defstruct [:opts]
   @type t :: %__MODULE__{opts: map()}
 
-  @doc "The options' schema, for those that pass them on."
+  @doc "Returns the schema of the options, for modules that forward them."
   @spec schema() :: Situ.Options.schema()
   def schema, do: @schema
 
-  @doc "A service by its options; nothing is connected."
+  @doc "Builds a service from its options, without connecting."
   @spec new(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def new(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
@@ -78,9 +78,9 @@ defmodule Situ.Chat.Service do
   end
 
   @doc """
-  Asks with all turns of a conversation; `say` is called with each piece of text as it comes. Errors: those of
-  `Situ.Infer.Http`, `:no_key`, `:refused` (the service does not want to: wrong key, no such model), `:service_failed`,
-  `:too_long`.
+  Sends all turns of a conversation, and calls `say` with each chunk of text as it arrives. Errors: the errors of
+  `Situ.Infer.Http`, `:no_key`, `:refused` (the service rejects the request: wrong key or unknown model),
+  `:service_failed`, `:too_long`.
   """
   @spec ask(t(), [Turn.t()], [Tool.t()], (String.t() -> any())) ::
           {:ok, Answer.t()} | {:error, Error.t()}
@@ -92,7 +92,7 @@ defmodule Situ.Chat.Service do
     end
   end
 
-  # A service may repeat what it was sent.
+  # An error text of the service may contain the key.
   defp hide(error, []), do: error
 
   defp hide(error, [{_, key}]), do: Service.hide(error, String.replace_prefix(key, "Bearer ", ""))
@@ -123,7 +123,7 @@ defmodule Situ.Chat.Service do
   defp attempt(opts, headers, body, say, tries) do
     case once(opts, headers, body, say) do
       {:again, wait, _error} when tries < opts.retries ->
-        # The process of one question waits here; cancelling the question ends it.
+        # This blocks only the process of this question, which is killed when the question is cancelled.
         Process.sleep(wait || Service.pause(opts.backoff, tries))
         attempt(opts, headers, body, say, tries + 1)
 

@@ -1,7 +1,7 @@
 defmodule Situ.Chat.Tool do
   @moduledoc """
-  A tool that a language model may call: its name, what it is for, the JSON schema of its arguments, and the function
-  that does it.
+  A tool that a language model may call: its name, its purpose, the JSON schema of its arguments, and the function that
+  implements it.
 
       %Situ.Chat.Tool{
         name: "set_timer",
@@ -10,8 +10,8 @@ defmodule Situ.Chat.Tool do
         run: fn %{"minutes" => minutes} -> "It will ring in \#{minutes} minutes." end
       }
 
-  `run` takes the arguments as a map with string keys, **as the model wrote them: check them**, and answers a text (or
-  what JSON can say). It runs in a process of its own that `cancel` may kill. Without it the call is a message on
+  `run` takes the arguments as a map with string keys, **as the model wrote them, so validate them**, and returns a text
+  (or a JSON value). It runs in a separate process that `cancel` may kill. If `run` is nil, the call is emitted on
   `:calls`, and the answer ends there.
   """
   @enforce_keys [:name, :about]
@@ -24,23 +24,23 @@ defmodule Situ.Chat.Tool do
           run: (map() -> String.t() | Situ.JSON.value()) | nil
         }
 
-  @doc "The tool as the protocol describes it."
+  @doc "Converts the tool to the protocol's description of a function."
   @spec to_json(t()) :: map()
   def to_json(%__MODULE__{} = tool) do
     function = %{name: tool.name, description: tool.about, parameters: tool.arguments}
     %{type: "function", function: function}
   end
 
-  @doc "The tool's answer to a call; for a missing tool or one that fails, a text for the model with the reason."
+  @doc "Runs the called tool and returns its result, or a text with the reason if the tool is unknown or fails."
   @spec answer([t()], Situ.Chat.ToolCall.t()) :: String.t()
   def answer(tools, call) do
     case Enum.find(tools, &(&1.name == call.name)) do
       %{run: run} when is_function(run, 1) -> text(attempt(run, call.arguments))
-      _ -> "error: there is no tool #{call.name}"
+      _ -> "error: unknown tool #{call.name}"
     end
   end
 
-  # At the edge to foreign code: the model may call it with anything.
+  # The function is user code and gets unchecked arguments from the model, so any error is caught.
   defp attempt(run, arguments) do
     run.(arguments)
   rescue

@@ -1,7 +1,7 @@
 defmodule Situ.Chat.ToolCall do
   @moduledoc """
-  A language model wants a tool called: the `id` of the call, the tool's `name`, and its `arguments`, a map with string
-  keys. The model's text may be no JSON: then `arguments` is `%{}` and `raw` holds it.
+  A tool call requested by a language model: the `id` of the call, the tool's `name`, and its `arguments`, a map with
+  string keys. If the model's arguments are not valid JSON, `arguments` is `%{}`; `raw` always contains their text.
 
       iex> Situ.Chat.ToolCall.new("1", "timer", ~s({"minutes": 5})).arguments
       %{"minutes" => 5}
@@ -13,7 +13,7 @@ defmodule Situ.Chat.ToolCall do
 
   @type t :: %__MODULE__{id: String.t(), name: String.t(), arguments: map(), raw: String.t()}
 
-  @doc "A call with arguments as the model wrote them."
+  @doc "Builds a call from the arguments as the model wrote them."
   @spec new(String.t(), String.t(), String.t()) :: t()
   def new(id, name, raw) do
     arguments =

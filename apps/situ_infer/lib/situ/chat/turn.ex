@@ -1,7 +1,7 @@
 defmodule Situ.Chat.Turn do
   @moduledoc """
-  One turn in a conversation with a language model: `role` (`:system`, `:user`, `:assistant`, `:tool`) and `text`; the
-  pictures a user shows, the tools an assistant calls, the call that a tool answers.
+  One turn in a conversation with a language model: its `role` (`:system`, `:user`, `:assistant`, `:tool`) and `text`, a
+  user's images, the assistant's tool calls, or the id of the call whose result a tool turn contains.
 
       iex> Situ.Chat.Turn.to_json(Situ.Chat.Turn.user("Who are you?"))
       %{role: "user", content: "Who are you?"}
@@ -20,23 +20,23 @@ defmodule Situ.Chat.Turn do
           call: String.t() | nil
         }
 
-  @doc "How the model is to behave."
+  @doc "Builds a turn with instructions for the model."
   @spec system(String.t()) :: t()
   def system(text), do: %__MODULE__{role: :system, text: text}
 
-  @doc "A person says something, and may show pictures (`Situ.EncodedImage`, JPEG or PNG)."
+  @doc "Builds a turn of a user, optionally with images (`Situ.EncodedImage`, JPEG or PNG)."
   @spec user(String.t(), [EncodedImage.t()]) :: t()
   def user(text, images \\ []), do: %__MODULE__{role: :user, text: text, images: images}
 
-  @doc "The model says something, and may call tools."
+  @doc "Builds a turn of the model, optionally with tool calls."
   @spec assistant(String.t(), [ToolCall.t()]) :: t()
   def assistant(text, calls \\ []), do: %__MODULE__{role: :assistant, text: text, calls: calls}
 
-  @doc "The result of the tool call with this id."
+  @doc "Builds a turn with the result of the tool call with this id."
   @spec tool(String.t(), String.t()) :: t()
   def tool(call, text), do: %__MODULE__{role: :tool, text: text, call: call}
 
-  @doc "The turn as the protocol writes it."
+  @doc "Converts the turn to the protocol's JSON."
   @spec to_json(t()) :: map()
   def to_json(%__MODULE__{role: :tool} = turn),
     do: %{role: "tool", tool_call_id: turn.call, content: turn.text}

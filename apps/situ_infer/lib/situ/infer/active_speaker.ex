@@ -3,63 +3,64 @@ defmodule Situ.Infer.ActiveSpeaker do
     lookahead: [
       type: :time_ns,
       default: 80_000_000,
-      doc: "How far past a picture it waits before it decides on it: the delay of the answers."
+      doc: "How long it waits after an image before it decides; this is the delay of the output."
     ],
     window: [
       type: :time_ns,
       default: 800_000_000,
-      doc: "Over how long lips and sound are compared, up to the end of the lookahead."
+      doc:
+        "The window over which lips and audio are compared; it ends at the end of the lookahead."
     ],
     hold: [
       type: :time_ns,
       default: 200_000_000,
-      doc: "A pause in the voice up to this long is part of the speech."
+      doc: "The longest pause in the voice that still counts as speech."
     ],
     on: [type: {:range, 0, 1}, default: 0.5, doc: "A voice begins at this probability."],
-    off: [type: {:range, 0, 1}, default: 0.35, doc: "It goes on down to this one."],
+    off: [type: {:range, 0, 1}, default: 0.35, doc: "A voice ends below this probability."],
     agreement: [
       type: {:range, 0, 1},
       default: 0.6,
-      doc: "Correlation of lips and loudness that makes a face the speaker."
+      doc: "The correlation between lips and loudness that makes a face the speaker."
     ],
     margin: [
       type: {:range, 0, 1},
       default: 0.3,
-      doc: "How much better another face must agree to take over from the speaker."
+      doc: "How much higher another face must score to take over from the speaker."
     ],
     movement: [
       type: :number,
       default: 0.02,
       doc:
-        "Opening (see `Situ.Infer.Mouth`) that counts as movement: smaller ones are the detector's noise."
+        "The change in opening (see `Situ.Infer.Mouth`) that counts as movement; smaller changes are detector noise."
     ],
     pause: [
       type: :time_ns,
       default: 1_000_000_000,
       doc:
-        "A speaker who pauses up to this long and moves when the voice comes back goes on speaking."
+        "The longest pause after which a speaker whose mouth moves as the voice returns is still the speaker."
     ],
     still: [
       type: :time_ns,
       default: 400_000_000,
       doc:
-        "How long a mouth may rest, ns, while a voice is heard, before its owner no longer counts as the speaker."
+        "How long a mouth may rest while a voice is heard, in ns, before its face stops counting as the speaker."
     ],
     doubt: [
       type: {:range, 0, 1},
       default: 0.25,
       doc:
-        "A mouth that agrees less than this with a voice of 0.9 s and more, and is closed again and again while it " <>
-          "is loud, is not the speaker's: somebody chews while another one talks. 0 leaves it the speaker's."
+        "A mouth that scores less than this with a voice of at least 0.9 s, and is often closed while the voice is " <>
+          "loud, is not the speaker's (a person chewing while someone else talks, for example). 0 disables this check."
     ]
   ]
 
   @moduledoc """
-  Decides who is speaking, from sound and lips.
+  Decides which face is speaking, from audio and lip movement.
 
-  Input `:in` is `{mouths, voice}`: a map of face id to `Situ.Infer.Mouth` for every picture, and the
-  `Situ.Infer.Voice` nearest to it, or `nil` where there is none. Output `:out` is a map of the same ids to booleans
-  at the picture's time, `:lookahead` later.
+  Input `:in` is `{mouths, voice}`: for every image, a map from face id to `Situ.Infer.Mouth`, and the nearest
+  `Situ.Infer.Voice` (or `nil`). Output `:out` is a map from the same ids to booleans. It has the image's time and is
+  emitted `:lookahead` later.
 
       mouths
       |> Situ.join(voice, Situ.Reproducible.nearest(Situ.Time.ms(40), or_default: nil))
@@ -67,17 +68,17 @@ defmodule Situ.Infer.ActiveSpeaker do
 
   At most one face speaks at a time:
 
-    1. Nobody speaks while there is no voice (with hysteresis, and short pauses bridged).
-    2. The face whose lips move **with** the loudness of the voice becomes the speaker: correlation over a window in
-       which the mouth also must really move. A mouth that is merely open, or moves by itself, does not agree with the
-       sound; a voice from outside of the picture agrees with nobody.
-    3. Where none agrees clearly, the one face that was at rest and begins to move as the voice begins becomes the
+    1. Without a voice nobody speaks (with hysteresis, and short pauses are bridged).
+    2. The face whose lips move **with** the loudness of the voice becomes the speaker. The measure is the correlation
+       over a window in which the mouth must also clearly move. A mouth that is merely open, or that moves
+       independently, does not correlate with the audio, and a voice from outside the image correlates with no face.
+    3. If no face correlates clearly, the only face that was at rest and starts to move as the voice starts becomes the
        speaker.
-    4. Once found, a speaker stays the speaker while the mouth moves and the voice goes on, unless another face agrees
-       much better: within fluent speech lips and loudness agree less than at its beginning. But lips that go their
-     own way for almost a second, closed where the voice is loud, are not the speaker's, however much they move.
+    4. A speaker remains the speaker while the mouth moves and the voice continues, unless another face scores much
+       higher, because lips and loudness correlate less within fluent speech than at its start. But lips that contradict
+       the voice for almost a second (closed while it is loud) are not the speaker's, however much they move.
 
-  The decision depends only on the messages, never on their arrival: the same recording gives the same answers.
+  The decision depends only on the messages and not on when they arrive, so a recording always gives the same result.
 
   ## Options
 
@@ -94,16 +95,16 @@ defmodule Situ.Infer.ActiveSpeaker do
 
   alias Situ.Infer.ActiveSpeaker.{Agreement, Moment}
 
-  # Loudness is compared compressed, as lips are: twice as loud is not twice as open.
+  # Loudness is compressed before the comparison: twice the loudness is not twice the opening.
   @compress 0.7
-  # A mouth that moves less than this much cannot agree fully.
+  # A mouth that moves less than this cannot reach the full score.
   @clear_movement 0.03
   # Speech moves the mouth at least this often.
   @syllable_ns 500_000_000
 
-  # A mouth begins to move up to this long before or after its voice is heard.
+  # A mouth starts to move at most this long before or after its voice is heard.
   @onset_ns 400_000_000
-  # Lips and voice are compared over so long before one is doubted: chance agreement over less is common.
+  # Lips and voice are compared for this long before a speaker is doubted, since shorter matches are often chance.
   @doubt_ns 900_000_000
   @memory_ns 2_000_000_000
 
@@ -123,7 +124,7 @@ defmodule Situ.Infer.ActiveSpeaker do
   @type t :: %__MODULE__{}
   @type decision :: {Situ.Time.t(), %{term() => boolean()}}
 
-  @doc "Nobody speaks yet. Options as above."
+  @doc "Returns the initial state, in which nobody speaks. See the options above."
   @spec new(keyword()) :: t()
   def new(opts \\ []), do: %__MODULE__{opts: opts |> Situ.Options.validate!(@schema) |> Map.new()}
 
@@ -146,7 +147,7 @@ defmodule Situ.Infer.ActiveSpeaker do
   def describe(%{speaker: nil}), do: "nobody speaks"
   def describe(%{speaker: id}), do: "face #{inspect(id)} speaks"
 
-  @doc "The next picture: decisions on those that lie `:lookahead` or more before it, oldest first."
+  @doc "Adds the next image, and returns the decisions on images at least `:lookahead` older, oldest first."
   @spec push(t(), Situ.Time.t(), %{term() => Situ.Infer.Mouth.t()}, Situ.Infer.Voice.t() | nil) ::
           {[decision()], t()}
   def push(%__MODULE__{} = state, time, mouths, voice) do
@@ -158,13 +159,13 @@ defmodule Situ.Infer.ActiveSpeaker do
     {decided ++ more, state}
   end
 
-  @doc "No more pictures: decisions on those that are left, by what there is."
+  @doc "Ends the input, and returns the decisions on the remaining images."
   @spec close(t()) :: {[decision()], t()}
   def close(%__MODULE__{} = state), do: decide(state, :infinity)
 
   defp actions(decisions), do: for({time, speaking} <- decisions, do: {:out, time, speaking})
 
-  # Decides all pictures whose lookahead ends before `now` (:infinity sorts after every number).
+  # Decides all images whose lookahead ends before `now` (:infinity sorts after every number).
   defp decide(%{undecided: [moment | rest]} = state, now) do
     if moment.time + state.opts.lookahead < now do
       {decision, state} = judge(%{state | undecided: rest}, moment)
@@ -177,7 +178,7 @@ defmodule Situ.Infer.ActiveSpeaker do
 
   defp decide(%{undecided: []} = state, _now), do: {[], state}
 
-  # Hysteresis along the pictures: whether a voice is on at this one.
+  # Applies the hysteresis that decides whether a voice is active at this image.
   defp listen(%{opts: opts} = state, moment) do
     heard = if moment.probability >= opts.off, do: moment.time, else: state.heard
     begun? = state.voice? or moment.probability >= opts.on
@@ -243,12 +244,12 @@ defmodule Situ.Infer.ActiveSpeaker do
     end
   end
 
-  # A new speaker's lips are compared with the voice from when the one before gave way.
+  # A new speaker's lips are compared with the voice only from the time when the previous speaker stopped.
   defp appointed(%{speaker: nil} = state, id, time), do: %{state | speaker: id, moved: time}
   defp appointed(%{speaker: id} = state, id, time), do: %{state | moved: time}
   defp appointed(state, id, time), do: %{state | speaker: id, moved: time, free: time}
 
-  # Whether this mouth contradicts the voice, ever since the voice was free to be its own.
+  # Returns whether this mouth contradicts the voice since the previous speaker stopped.
   defp doubtful?(%{speaker: other}, id, _seen, _until) when other not in [nil, id], do: false
 
   defp doubtful?(%{opts: opts} = state, id, seen, until) do
@@ -257,8 +258,8 @@ defmodule Situ.Infer.ActiveSpeaker do
     until - from >= @doubt_ns and Agreement.contradicts?(window, id, @clear_movement, opts.doubt)
   end
 
-  # Nobody agrees clearly: who spoke a moment ago, or who alone began to move with the voice. A mouth that merely
-  # stays open after its last word does not move.
+  # No face scores clearly, so the last speaker, or the only face that started to move with the voice, is chosen. A
+  # mouth that merely stays open after its last word does not move.
   defp unclear(state, time, seen, until) do
     movers =
       for {id, _} <- hd(seen).mouths,
@@ -278,7 +279,7 @@ defmodule Situ.Infer.ActiveSpeaker do
     end
   end
 
-  # At rest before the voice, moving clearly around its beginning.
+  # The mouth was at rest before the voice and moves clearly around its start.
   defp began?(id, seen, since) do
     rest = range(id, seen, since - 2 * @onset_ns, since - div(@onset_ns, 2))
     start = range(id, seen, since - div(@onset_ns, 2), since + @onset_ns)

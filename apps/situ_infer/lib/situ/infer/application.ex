@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Application do
   @moduledoc false
-  # One process: the table of models shared between components.
+  # Supervises one process, the cache of models that components share.
   use Application
 
   @impl true

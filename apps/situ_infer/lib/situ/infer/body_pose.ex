@@ -3,13 +3,13 @@ defmodule Situ.Infer.BodyPose do
     model: [
       type: {:optional, :string},
       default: nil,
-      doc: "The ONNX file; `nil` for the one that ships with the app."
+      doc: "The ONNX file; `nil` uses the bundled one."
     ],
-    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."],
+    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."],
     min_score: [
       type: {:range, 0.01, 0.99},
       default: 0.5,
-      doc: "How sure it must be that there is a body."
+      doc: "The minimum score for a body."
     ]
   ]
 
@@ -19,26 +19,26 @@ defmodule Situ.Infer.BodyPose do
              right_knee left_ankle right_ankle left_heel right_heel left_foot_index right_foot_index)a
 
   @moduledoc """
-  The body of the person before the camera: #{length(@joints)} points in the picture, and a skeleton (MediaPipe's
-  BlazePose).
+  Finds the body of the person in front of the camera: #{length(@joints)} points in the image, and a skeleton
+  (MediaPipe's BlazePose).
 
-  Input `:in` is a `Situ.Image` of an 8-bit format. Each picture makes a message on each output, at its time, empty
-  lists where nobody is found:
+  Input `:in` is a `Situ.Image` of an 8-bit format. Each image produces a message on each output, at its time (an empty
+  list if nobody is found):
 
-    * `:out`: the points as `Situ.Point2` in the picture's pixels, in the order of `joints/0`; points outside of the
-      picture are guessed;
-    * `:skeletons`: a list of one `Situ.Skeleton`: metres around the middle of the hips, x away from the camera, y to
-      its left, z up, with how likely each joint is seen as its confidence.
+    * `:out`: the points as `Situ.Point2` in image pixels, in the order of `joints/0`; points outside the image are
+      estimates;
+    * `:skeletons`: a list of one `Situ.Skeleton`, in metres around the middle of the hips, with x away from the camera,
+      y to its left and z up. The confidence of each joint is the probability that it is visible.
 
         body = Situ.via(pictures, Situ.Infer.BodyPose)
         Situ.Store.write(body.out, store, "Body.Points")
         Situ.Store.write(body.skeletons, store, "Body")
 
-  "Left" is the person's left. It finds one person who fills a good part of the picture, upright, and follows them from
-  picture to picture; cut smaller people out first. Sizes in metres are those of a usual adult: the network does not
-  measure them. A look costs about 12 ms on one core; the first picture takes two.
+  "Left" is the person's left. It finds one upright person who fills much of the image, and tracks that person from
+  image to image; crop smaller people first. Sizes in metres assume an average adult, since the network does not measure
+  them. One detection takes about 12 ms on one core; the first image needs two.
 
-  Without a pipeline: `find/2`.
+  To use it without a pipeline, see `find/2`.
 
   ## Options
 
@@ -53,7 +53,7 @@ defmodule Situ.Infer.BodyPose do
   alias Situ.Infer.{Model, Patch}
 
   @side 256
-  # Two more points than are told, and four that nothing is known of: the middle of the hips, and one above the head.
+  # The network returns 39 points: the named 33, the middle of the hips, a point above the head, and four unknown ones.
   @told 39
   @ports [
     inputs: %{"input" => {:f32, {1, @side, @side, 3}}},
@@ -87,13 +87,13 @@ defmodule Situ.Infer.BodyPose do
     right_ankle: :right_foot_index
   ]
 
-  @typedoc "The body in a picture: its points there, and the skeleton; empty where nobody is."
+  @typedoc "The body in an image: its points and its skeleton; both lists are empty if nobody was found."
   @type found :: %{points: [Point2.t()], skeletons: [Skeleton.t()]}
 
-  # Where the body was seen last: `{middle, side, angle}`.
+  # `place` is the region where the body was last found: `{middle, side, angle}`.
   defstruct [:opts, :model, :place]
 
-  @doc "The names of the points, in their order."
+  @doc "Returns the names of the points, in order."
   @spec joints() :: [atom()]
   def joints, do: @joints
 
@@ -115,7 +115,8 @@ defmodule Situ.Infer.BodyPose do
   def describe(%{model: model}), do: Model.describe(model)
 
   @doc """
-  The body in one picture, without a pipeline. Options as above. Errors: those of `Situ.Infer.Model`, `:bad_image`.
+  Finds the body in one image, without a pipeline. See the options above. Returns the errors of `Situ.Infer.Model` and
+  `:bad_image`.
   """
   @spec find(Image.t(), keyword()) :: {:ok, found()} | {:error, Error.t()}
   def find(%Image{} = image, opts \\ []) do
@@ -130,7 +131,7 @@ defmodule Situ.Infer.BodyPose do
     Model.shared(path, Keyword.merge(opts[:model_options], @ports))
   end
 
-  # Where it was, else in the whole picture, and then closer.
+  # Searches the last region, and otherwise the whole image and then a closer region.
   defp look(%{place: nil} = state, image) do
     with {:ok, rough} <- seen(state, image, whole(image)),
          {:ok, close} <- if(rough, do: seen(state, image, rough.next), else: {:ok, nil}),
@@ -145,7 +146,7 @@ defmodule Situ.Infer.BodyPose do
     end
   end
 
-  # With room around it: a body that is cut off goes on outside of the picture.
+  # The margin is needed because a body at the edge extends beyond the image.
   defp whole(%Image{width: w, height: h}), do: {{w / 2, h / 2}, max(w, h) * 1.25, 0.0}
 
   defp told(nil), do: {%{points: [], skeletons: []}, nil}
@@ -160,7 +161,7 @@ defmodule Situ.Infer.BodyPose do
     end
   end
 
-  # Numbers that are none are no body.
+  # Outputs that are not finite numbers count as no body.
   defp body(%{"points" => points, "score" => score, "world" => world}, patch, angle, min_score) do
     rows = points |> Tensor.to_list() |> Enum.chunk_every(5)
     [score] = Tensor.to_list(score)
@@ -181,7 +182,7 @@ defmodule Situ.Infer.BodyPose do
     end
   end
 
-  # As large as the body would be with its arms spread, upright where the body is.
+  # The region holds the body with its arms spread, and is upright with respect to the body.
   defp next({x, y} = middle, {tx, ty}) do
     {dx, dy} = {tx - x, ty - y}
     {middle, max(2.5 * :math.sqrt(dx * dx + dy * dy), 8.0), :math.atan2(dx, -dy)}
@@ -192,7 +193,7 @@ defmodule Situ.Infer.BodyPose do
 
     joints =
       for {name, [x, y, z]} <- Enum.zip(@joints, around), into: %{} do
-        # From the patch, right, down and away, to the picture's upright, and to ahead, left and up.
+        # Converts from the patch (right, down, away) to the upright image, and then to ahead, left, up.
         {name, Pose.new({z, -(cos * x - sin * y), -(sin * x + cos * y)})}
       end
 

@@ -4,25 +4,29 @@ defmodule Situ.Infer.Classifier do
     labels: [
       type: {:or, [:string, {:list, :string}]},
       default: [],
-      doc: "The names of the classes in their order, or a text file with one on each line."
+      doc: "The names of the classes in order, or a text file with one name per line."
     ],
-    top: [type: :pos_integer, default: 5, doc: "How many classes come out, the likeliest first."],
+    top: [
+      type: :pos_integer,
+      default: 5,
+      doc: "The number of classes to return, most likely first."
+    ],
     softmax: [
       type: :boolean,
       default: false,
-      doc: "The network gives raw scores, which softmax turns into probabilities."
+      doc: "Whether the network returns raw scores that softmax must convert to probabilities."
     ],
     output: [
       type: {:optional, :string},
       default: nil,
-      doc: "The output with the scores; `nil`: the only one."
+      doc: "The output with the scores; `nil` uses the only output."
     ],
     side: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "The picture's side, where the file leaves it free."
+      doc: "The side of the input image, if the file does not fix it."
     ],
-    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."]
+    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."]
   ]
 
   @imagenet [mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225]]
@@ -34,13 +38,13 @@ defmodule Situ.Infer.Classifier do
             )
 
   @moduledoc """
-  Classifies pictures: any ONNX network that gives a score for each class, such as those trained on ImageNet.
+  Classifies images with any ONNX network that gives a score for each class, such as the networks trained on ImageNet.
 
       pictures |> Situ.via(Situ.Infer.Classifier, path: "resnet50-v2.onnx", labels: "synset.txt", softmax: true)
 
-  Input `:in` is a `Situ.Image` of an 8-bit format or `nil`, output `:out` the likeliest classes, `{label, score}`, best
-  first (`nil` for `nil`). The preprocessing is ImageNet's unless said otherwise: the middle square, bilinear, `(v /
-  255 - mean) / std`. A class without a name is called by its number.
+  Input `:in` is a `Situ.Image` of an 8-bit format or `nil`. Output `:out` is the list of the most likely classes,
+  `{label, score}`, best first (`nil` for `nil`). By default the preprocessing is ImageNet's: the middle square,
+  bilinear, `(v / 255 - mean) / std`. The label of a class without a name is its number.
 
   ## Options
 
@@ -59,7 +63,7 @@ defmodule Situ.Infer.Classifier do
 
   @type class :: {label :: String.t(), score :: float()}
 
-  @doc "The likeliest classes of pictures, without a pipeline: a function of pictures. Options as above."
+  @doc "Returns a function that classifies images without a pipeline. See the options above."
   @spec load(keyword()) ::
           {:ok, (Image.t() -> {:ok, [class()]} | {:error, Error.t()})} | {:error, Error.t()}
   def load(opts) do
@@ -107,15 +111,15 @@ defmodule Situ.Infer.Classifier do
       do: :ok,
       else:
         {:error,
-         Error.new(:bad_scores, "model #{state.model.name} gave scores that are not numbers",
+         Error.new(:bad_scores, "model #{state.model.name} returned scores that are not numbers",
            why:
-             "NaN or infinite values come of a broken model, or of pictures scaled otherwise than it wants",
-           fix: "look at mean:, std: and scale:, and try the model with another picture"
+             "NaN or infinite values come from a broken model, or from images that are not scaled as it expects",
+           fix: "check mean:, std: and scale:, and try the model with another image"
          )}
   end
 
   @doc """
-  The best of a network's scores. `opts` are `top:` and `softmax:`.
+  Returns the best-scoring classes. `opts` are `top:` and `softmax:`.
 
       iex> scores = Situ.Tensor.from_list([1.0, 3.0, 2.0], :f32, {1, 3})
       iex> Situ.Infer.Classifier.top(scores, {"cat", "dog"}, top: 2)

@@ -1,10 +1,10 @@
 defmodule Situ.Infer.Face do
   @moduledoc """
-  A face in a picture, in picture pixels.
+  A face in an image, in pixels of the image.
 
-    * `rect`: a `Situ.Rect` around brows to chin, with the detector's `score` and, once tracked, the track's `id`;
-    * `eyes`: the person's right and left eye as `{x, y}` (right first, so it is at the left of the picture);
-    * `nose`, `mouth`, `ears` (right, left): likewise.
+    * `rect`: a `Situ.Rect` from brows to chin, with the detector's `score` and, once tracked, the track's `id`;
+    * `eyes`: the person's right and left eye as `{x, y}` (the right one first; it is at the left of the image);
+    * `nose`, `mouth`, `ears` (right, left): points in the same form.
 
       iex> face = %Situ.Infer.Face{rect: Situ.Rect.new!(0, 0, 10, 10), eyes: {{2.0, 3.0}, {8.0, 3.0}}}
       iex> Situ.Infer.Face.roll(face)
@@ -30,7 +30,7 @@ defmodule Situ.Infer.Face do
             when is_number(x) and is_number(y) and abs(x) <= @most and abs(y) <= @most
 
   @doc """
-  The face itself, when one can calculate with its rectangle and its eyes. Errors: `:bad_rect`, `:bad_face`.
+  Returns the face if its rectangle and eyes have usable numbers. Errors: `:bad_rect`, `:bad_face`.
 
       iex> {:error, error} = Situ.Infer.Face.check(%Situ.Infer.Face{rect: Situ.Rect.new!(0, 0, 1, 1), eyes: nil})
       iex> error.why
@@ -54,25 +54,25 @@ defmodule Situ.Infer.Face do
 
   defp bad(why) do
     {:error,
-     Error.new(:bad_face, "not a face that one can calculate with",
+     Error.new(:bad_face, "invalid face: its coordinates cannot be used",
        why: why,
-       fix: "take faces from Situ.Infer.FaceDetector; eyes are {{x, y}, {x, y}}, in pixels"
+       fix: "use faces from Situ.Infer.FaceDetector; eyes are {{x, y}, {x, y}}, in pixels"
      )}
   end
 
-  @doc "As `check/1`, but returns the face or raises the error."
+  @doc "Like `check/1`, but returns the face or raises the error."
   @spec check!(term()) :: t()
   def check!(face), do: Error.unwrap!(check(face))
 
-  @doc "The track's id, `nil` before tracking."
+  @doc "Returns the id of the face's track, or `nil` before tracking."
   @spec id(t()) :: term()
   def id(%__MODULE__{rect: rect}), do: rect.id
 
-  @doc "How far the head leans, radians; positive is clockwise on the screen."
+  @doc "Returns the roll of the head in radians; positive is clockwise on the screen."
   @spec roll(t()) :: float()
   def roll(%__MODULE__{eyes: {{rx, ry}, {lx, ly}}}), do: :math.atan2(ly - ry, lx - rx)
 
-  @doc "The square patch of `size` pixels around the face, `margin` times as wide as it, with the eyes level."
+  @doc "Returns the square patch of `size` pixels around the face, `margin` times as wide as the face, with level eyes."
   @spec patch(t(), float(), pos_integer()) :: Patch.t()
   def patch(%__MODULE__{rect: rect} = face, margin, size) do
     side = max(rect.width, rect.height) * margin

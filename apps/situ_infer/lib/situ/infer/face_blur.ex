@@ -4,25 +4,25 @@ defmodule Situ.Infer.FaceBlur do
       type: :time_ns,
       default: 500_000_000,
       doc:
-        "How long a face is hidden before it is found and after it was last found, ns: detectors miss some."
+        "How long before its first and after its last detection a face is hidden, in ns, since detectors miss some."
     ],
     margin: [
       type: {:range, 1.0, 4.0},
       default: 1.5,
-      doc: "How much larger than the face the part is that is hidden."
+      doc: "The size of the hidden area, relative to the face."
     ]
   ]
 
   @moduledoc """
-  Pictures with their faces hidden: each is replaced by a few blurred spots, out of which nobody can make it again.
+  Hides the faces in images. Each face is replaced by a few blurred spots from which it cannot be reconstructed.
 
-  The input is a pair of the picture and its faces, and the pictures come `:hold` later, for a face that is found in
-  one picture is hidden in those before it too. A face that no picture within `:hold` shows to the detector stays as it
-  is: look at the result before you hand it on.
+  The input is a pair of an image and its faces. Images are emitted `:hold` later, because a face found in one image is
+  also hidden in the images before it. A face that is not detected in any image within `:hold` is not hidden, so check
+  the result before you share it.
 
       pictures |> Situ.join(Situ.via(pictures, Situ.Infer.FaceDetector)) |> Situ.via(Situ.Infer.FaceBlur)
 
-  Pure, for use without a pipeline:
+  The pure functions also work without a pipeline:
 
       iex> image = Situ.Image.filled(64, 64, :gray8, 200)
       iex> hidden = Situ.Infer.FaceBlur.hide(image, [Situ.Rect.new!(-4, 10, 20, 20)])
@@ -40,7 +40,7 @@ defmodule Situ.Infer.FaceBlur do
 
   alias Situ.{Image, Imaging, Rect}
 
-  # A blurred face has so many spots across.
+  # The number of spots across a blurred face.
   @spots 4
 
   defstruct [:hold, :margin, waiting: :queue.new(), faces: []]
@@ -59,7 +59,7 @@ defmodule Situ.Infer.FaceBlur do
   @impl true
   def handle_closed(:in, _time, _context, state), do: decided(state, :unbounded, [])
 
-  # Pictures whose neighbours are all known.
+  # Emits the images whose neighbours are all known.
   defp decided(state, until, actions) do
     case :queue.peek(state.waiting) do
       {:value, {time, image}} when until == :unbounded or time <= until ->
@@ -73,12 +73,12 @@ defmodule Situ.Infer.FaceBlur do
     end
   end
 
-  @doc "The picture with these parts of it hidden; what lies outside of it does not count."
+  @doc "Returns the image with these rectangles hidden; parts outside the image are ignored."
   @spec hide(Image.t(), [Rect.t()]) :: Image.t()
   def hide(image, rects),
     do: rects |> Enum.reduce([], &together/2) |> Enum.reduce(image, &spotted/2)
 
-  # A face of neighbouring pictures lies in about the same place: one part that holds all of them.
+  # A face has about the same position in neighbouring images, so its rectangles are merged into their bounding box.
   defp together(rect, others) do
     case Enum.split_with(others, &(Rect.iou(&1, rect) > 0.3)) do
       {[], others} -> [rect | others]
@@ -101,7 +101,8 @@ defmodule Situ.Infer.FaceBlur do
 
     if width > 0 and height > 0 do
       part = Imaging.crop!(image, {left, top, width, height})
-      # Their number is the same whatever the size: more of a large face would say more.
+
+      # The number of spots does not depend on the size, because more spots would reveal more of a large face.
       spots = Imaging.resize!(part, min(@spots, width), min(@spots, height), filter: :area)
       Imaging.paste!(image, Imaging.resize!(spots, width, height), {left, top})
     else

@@ -3,41 +3,41 @@ defmodule Situ.Infer.FaceDetector do
     model: [
       type: {:optional, :string},
       default: nil,
-      doc: "The ONNX file; `nil` for the one that ships with the app."
+      doc: "The ONNX file; `nil` uses the bundled one."
     ],
-    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."],
-    min_score: [type: {:range, 0.01, 0.99}, default: 0.5, doc: "How sure a face must be."],
+    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."],
+    min_score: [type: {:range, 0.01, 0.99}, default: 0.5, doc: "The minimum score of a face."],
     tile_score: [
       type: {:range, 0.01, 0.99},
       default: 0.7,
-      doc: "The same for faces found in tiles, which see more that only looks like a face."
+      doc: "The minimum score of a face found in a tile; tiles contain more false faces."
     ],
     tiles: [
       type: {:optional, :non_neg_integer},
       default: nil,
       doc:
-        "Tiles searched in each picture for small faces, in turn; `nil`: so many that 50 " <>
-          "pictures cover everything. 0 for none."
+        "The number of tiles searched for small faces per image, in rotation. `nil` uses the number that " <>
+          "covers everything in 50 images; 0 searches no tiles."
     ],
     every: [
       type: :time_ns,
       default: 120_000_000,
-      doc: "How often faces that rest are looked for, ns; 0: in every picture."
+      doc: "How often faces at rest are searched for, in ns; 0 searches in every image."
     ]
   ]
 
   @moduledoc """
-  Finds faces in pictures (BlazeFace short range).
+  Finds faces in images (BlazeFace short range).
 
-  Input `:in` is a `Situ.Image` of an 8-bit format, output `:out` a list of `Situ.Infer.Face` at the picture's time.
-  Faces of a quarter of the picture or more are seen in the whole picture; smaller ones, down to 40 pixels, are found
-  in tiles within two seconds of their appearance, and then looked at closely. While no face moves, they are looked
-  for every `:every` nanoseconds, and stay where they are between. No face is an empty list.
+  Input `:in` is a `Situ.Image` of an 8-bit format. Output `:out` is a list of `Situ.Infer.Face` at the image's time,
+  which may be empty. Faces of at least a quarter of the image are found in the whole image. Smaller faces,
+  down to 40 pixels, are found in tiles within two seconds of their appearance, and then in close-ups. While no face
+  moves, faces are searched for only every `:every` nanoseconds, and keep their positions in between.
 
       frames |> Situ.via(Situ.Infer.FaceDetector, min_score: 0.6)
 
-  One look costs about 1.2 ms on one core. A picture takes one look, one for each face that is not large, and one for
-  each tile; where faces rest, a third of that; the first picture is searched in full.
+  One detection takes about 1.2 ms on one core. An image needs one detection, one for each face that is not large, and
+  one for each tile; while faces rest it needs a third of that. The first image is searched completely.
 
   ## Options
 
@@ -51,7 +51,7 @@ defmodule Situ.Infer.FaceDetector do
   alias Situ.Infer.Face.{Blaze, Search}
   alias Situ.Infer.{Model, Patch}
 
-  # Network input: 0..255 becomes -1..1.
+  # Maps 0..255 to the network's input range, -1..1.
   @scale 1 / 127.5
   @offset -1.0
 
@@ -76,9 +76,9 @@ defmodule Situ.Infer.FaceDetector do
     do: "#{length(search.faces)} faces; #{Model.describe(model)}"
 
   @doc """
-  The faces of one picture, without a pipeline: `detect(image)` looks everywhere once.
+  Finds the faces in one image, without a pipeline: `detect(image)` searches everything once.
 
-  Options as above. Errors: those of `Situ.Infer.Model`, `:bad_image`.
+  See the options above. Returns the errors of `Situ.Infer.Model` and `:bad_image`.
   """
   @spec detect(Situ.Image.t(), keyword()) ::
           {:ok, [Situ.Infer.Face.t()]} | {:error, Situ.Error.t()}

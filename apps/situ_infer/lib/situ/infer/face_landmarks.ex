@@ -3,27 +3,27 @@ defmodule Situ.Infer.FaceLandmarks do
     model: [
       type: {:optional, :string},
       default: nil,
-      doc: "The ONNX file; `nil` for the one that ships with the app."
+      doc: "The ONNX file; `nil` uses the bundled one."
     ],
-    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."],
+    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."],
     margin: [
       type: {:range, 1.0, 4.0},
       default: 1.5,
-      doc: "How much wider than the face the patch is that the network sees."
+      doc: "The width of the network's input patch, relative to the face."
     ],
     min_score: [
       type: {:range, 0.0, 1.0},
       default: 0.5,
-      doc: "Below this it is no face after all."
+      doc: "The minimum score; faces below it are dropped."
     ]
   ]
 
   @moduledoc """
   Finds 468 points on every face (MediaPipe's face mesh).
 
-  Input `:in` is `{image, faces}`, a `Situ.Image` and the list of `Situ.Infer.Face` in it; output `:out` a list of
-  `Situ.Infer.FaceMesh` in the same order. Costs about 2.5 ms a face on one core; faces
-  of one picture run side by side.
+  Input `:in` is `{image, faces}`, a `Situ.Image` and the list of `Situ.Infer.Face` in it. Output `:out` is a list of
+  `Situ.Infer.FaceMesh` in the same order. A face takes about 2.5 ms on one core, and the faces of an image are
+  processed in parallel.
 
       frames |> Situ.join(faces) |> Situ.via(Situ.Infer.FaceLandmarks)
 
@@ -64,14 +64,14 @@ defmodule Situ.Infer.FaceLandmarks do
   def describe(%{model: nil}), do: "not started"
   def describe(%{model: model}), do: Model.describe(model)
 
-  @doc "Loads the network, which all who ask for it share."
+  @doc "Loads the network, which all callers share."
   @spec load(keyword()) :: {:ok, Model.t()} | {:error, Situ.Error.t()}
   def load(opts) do
     path = opts[:model] || Model.path("face_landmark.onnx")
     Model.shared(path, Keyword.merge(opts[:model_options] || [], @ports))
   end
 
-  @doc "The points of `faces` in `image`. `opts` as above; errors are those of `Situ.Infer.Model` and `:bad_image`."
+  @doc "Finds the points of `faces` in `image`. Returns the errors of `Situ.Infer.Model` and `:bad_image`."
   @spec find(Model.t(), Situ.Image.t(), [Face.t()], keyword()) ::
           {:ok, [FaceMesh.t()]} | {:error, Situ.Error.t()}
   def find(model, image, faces, opts \\ []) do
@@ -83,7 +83,7 @@ defmodule Situ.Infer.FaceLandmarks do
     end
   end
 
-  # The first face here, each other one in a process of its own: the cores take them side by side.
+  # The first face is processed here and each other face in a separate process, so that they use all cores.
   defp at_once([], _fun), do: []
 
   defp at_once([first | others], fun) do

@@ -1,14 +1,15 @@
 defmodule Situ.Infer.FaceMesh do
   @moduledoc """
-  468 points on a face (MediaPipe's face mesh).
+  The 468 points of a face (MediaPipe's face mesh).
 
-    * `id`: the face's track
-    * `rect`: the face's rectangle in the picture
-    * `score`: how sure the network is that this is a face, 0..1
-    * `points`: 468 times x, y, z as 32-bit floats in pixels of `patch`; read them with `point/2` or `points/1`
+    * `id`: the id of the face's track
+    * `rect`: the face's rectangle in the image
+    * `score`: the network's confidence that this is a face, 0..1
+    * `points`: x, y and z of the 468 points as 32-bit floats in pixels of `patch`; read them with `point/2` or
+      `points/1`
 
-  Points that matter most: 13 and 14 the inner lips in the middle (upper, lower), 78 and 308 the inner corners of the
-  mouth, 33 and 263 the outer corners of the eyes, 1 the nose's tip, 152 the chin.
+  The most important points are 13 and 14, the inner lips in the middle (upper, lower); 78 and 308, the inner corners of
+  the mouth; 33 and 263, the outer corners of the eyes; 1, the tip of the nose; and 152, the chin.
 
       iex> point = &for(v <- &1, into: <<>>, do: <<v::float-native-32>>)
       iex> points = for i <- 0..467, into: <<>>, do: point.([i * 1.0, 2.0, 0.0])
@@ -34,22 +35,22 @@ defmodule Situ.Infer.FaceMesh do
           patch: Patch.t()
         }
 
-  @doc "How many points there are."
+  @doc "Returns the number of points."
   @spec count() :: 468
   def count, do: @count
 
-  @doc "Point `i` (0..467) in picture pixels."
+  @doc "Returns point `i` (0..467) in image pixels."
   @spec point(t(), 0..467) :: Patch.point()
   def point(%__MODULE__{} = mesh, i), do: Patch.to_picture(mesh.patch, raw(mesh, i))
 
-  @doc "Every point in picture pixels."
+  @doc "Returns all points in image pixels."
   @spec points(t()) :: [Patch.point()]
   def points(%__MODULE__{} = mesh) do
     for <<x::float-native-32, y::float-native-32, _z::32 <- mesh.points>>,
       do: Patch.to_picture(mesh.patch, {x, y})
   end
 
-  @doc "Distance of two points in pixels of the patch: for ratios, which need no picture."
+  @doc "Computes the distance between two points in pixels of the patch, for ratios that do not depend on the image."
   @spec distance(t(), 0..467, 0..467) :: float()
   def distance(%__MODULE__{} = mesh, i, j) do
     {x0, y0} = raw(mesh, i)

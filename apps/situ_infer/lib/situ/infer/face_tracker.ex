@@ -3,24 +3,24 @@ defmodule Situ.Infer.FaceTracker do
     max_missing: [
       type: :time_ns,
       default: 500_000_000,
-      doc: "How long a face may be gone and still be the same one, in nanoseconds."
+      doc: "How long a face may be missing and still keep its id, in ns."
     ],
     min_hits: [
       type: :pos_integer,
       default: 1,
-      doc: "In how many pictures a face must have been seen before it counts."
+      doc: "The number of images in which a face must have been found before it is emitted."
     ]
   ]
 
   @moduledoc """
-  Gives faces ids that stay: `0`, `1`, `2` ... in the order of their appearance, from left to right among those that
-  appear together.
+  Gives faces persistent ids: `0`, `1`, `2` ... in order of appearance, and from left to right among faces that appear
+  together.
 
-  Input and output are lists of `Situ.Infer.Face`; each face that comes out has its track's id in `rect.id`. A face is
-  the one of the picture before that overlaps it most; one that no longer overlaps is the same within half its width.
-  A face that is gone for `:max_missing` never comes back: a new id is given.
+  Input and output are lists of `Situ.Infer.Face`; each emitted face has its track's id in `rect.id`. A face is matched
+  with the face of the previous image that it overlaps most, or else with one within half its width. A face that is
+  missing for longer than `:max_missing` gets a new id when it returns.
 
-  Pure, for use without a pipeline:
+  The pure functions also work without a pipeline:
 
       iex> face = fn x -> %Situ.Infer.Face{rect: Situ.Rect.new!(x, 0, 10, 10), eyes: {{0, 0}, {1, 0}}} end
       iex> tracker = Situ.Infer.FaceTracker.new()
@@ -53,7 +53,7 @@ defmodule Situ.Infer.FaceTracker do
          }
   @type t :: %__MODULE__{opts: keyword(), next_id: non_neg_integer(), tracks: [track()]}
 
-  @doc "A tracker that has seen nothing. Options as above."
+  @doc "Returns a tracker without tracks. See the options above."
   @spec new(keyword()) :: t()
   def new(opts \\ []), do: %__MODULE__{opts: Situ.Options.validate!(opts, @schema)}
 
@@ -70,7 +70,7 @@ defmodule Situ.Infer.FaceTracker do
   @impl true
   def describe(tracker), do: "#{length(tracker.tracks)} tracks, #{tracker.next_id} faces so far"
 
-  @doc "The faces seen at `time` with their ids, in the order of the ids."
+  @doc "Updates the tracks with the faces found at `time`, and returns those faces with their ids, in order of the ids."
   @spec step(t(), Situ.Time.t(), [Face.t()]) :: {[Face.t()], t()}
   def step(%__MODULE__{} = tracker, time, faces) do
     alive = Enum.filter(tracker.tracks, &(time - &1.seen <= tracker.opts[:max_missing]))
@@ -88,7 +88,7 @@ defmodule Situ.Infer.FaceTracker do
     {shown, %{tracker | tracks: tracks, next_id: next_id}}
   end
 
-  # Greedy, best pair first: with few faces it differs from an optimal assignment only where both are doubtful.
+  # The matching is greedy, best pair first. With few faces it differs from an optimal one only in doubtful cases.
   defp associate(tracks, faces, time) do
     pairs =
       for track <- tracks,
@@ -115,7 +115,7 @@ defmodule Situ.Infer.FaceTracker do
 
   defp with_id(face, id), do: %{face | rect: %{face.rect | id: id}}
 
-  # 1..2 for faces that overlap, 0..1 for faces near each other and of like size, 0 for strangers.
+  # Returns 1..2 for faces that overlap, 0..1 for faces of similar size near each other, and 0 otherwise.
   defp closeness(a, b) do
     iou = Rect.iou(a.rect, b.rect)
     if iou >= @min_iou, do: 1.0 + iou, else: nearness(a.rect, b.rect)

@@ -1,20 +1,20 @@
 defmodule Situ.Infer.Http do
   @moduledoc """
-  One request over HTTP/1.1, whose answer is handed on as it arrives: the way to services that stream.
+  Sends one request over HTTP/1.1 and hands the response on as it arrives, as streaming services need.
 
       Situ.Infer.Http.request(:get, "http://127.0.0.1:8080/v1/models", [], "", [], fn
         {:status, status, _headers}, _body -> {:cont, {status, []}}
         {:data, bytes}, {status, body} -> {:cont, {status, [body, bytes]}}
       end, nil)
 
-  It runs in the calling process and ends with it; killing that process closes the connection. Certificates
-  are verified against those of the system (`cacertfile:` names others), with the name in the URL. Headers may hold
-  secrets: no error, log or process state ever contains them.
+  A request runs in the calling process and ends with it; killing that process closes the connection. Certificates
+  are verified against the system's authorities (or those in `cacertfile:`), including the host name in the URL. Headers
+  may contain secrets, so errors, logs and process states never contain headers.
 
-  A failure says up to where the answer came, too: `{:error, error, acc}`.
+  An error also returns the accumulator up to that point: `{:error, error, acc}`.
 
-  Why not OTP's `httpc`: it keeps the whole of an answer that is no success, however long, and a crash of its process
-  writes the headers it was given into the log ([ADR 0062](docs/adr/0062-a-client-that-streams.md)).
+  OTP's `httpc` is not used because it keeps the complete body of every unsuccessful response, however long, and logs
+  the request headers if its process crashes ([ADR 0062](docs/adr/0062-a-client-that-streams.md)).
 
   ## Errors
 
@@ -27,18 +27,22 @@ defmodule Situ.Infer.Http do
     connect_timeout: [
       type: :pos_integer,
       default: 5_000,
-      doc: "How long the connection may take, ms."
+      doc: "The time limit for connecting, in ms."
     ],
     idle_timeout: [
       type: :pos_integer,
       default: 30_000,
-      doc: "How long nothing may come, ms."
+      doc: "The time limit without any received data, in ms."
     ],
-    timeout: [type: :pos_integer, default: 120_000, doc: "How long all of it may take, ms."],
+    timeout: [
+      type: :pos_integer,
+      default: 120_000,
+      doc: "The time limit for the whole request, in ms."
+    ],
     cacertfile: [
       type: {:optional, :string},
       default: nil,
-      doc: "Authorities to trust, a PEM file; `nil`: those of the system."
+      doc: "A PEM file of trusted authorities; `nil` uses the system's."
     ]
   ]
 
@@ -51,12 +55,12 @@ defmodule Situ.Infer.Http do
           path: String.t()
         }
 
-  @doc "The options' schema, for those that pass them on."
+  @doc "Returns the schema of the options, for modules that pass them on."
   @spec schema() :: Situ.Options.schema()
   def schema, do: @schema
 
   @doc """
-  The parts of a URL. A user or password in it is refused, since URLs end up in logs.
+  Parses a URL. A URL with a user or password is rejected, since URLs end up in logs.
 
       iex> Situ.Infer.Http.parse("https://models.example/v1")
       {:ok, %{scheme: :https, host: "models.example", port: 443, path: "/v1"}}
@@ -80,11 +84,14 @@ defmodule Situ.Infer.Http do
          }}
 
       {:ok, %URI{userinfo: user}} when user != nil ->
-        bad_url("a URL must not hold a user or password", "name the variable that holds the key")
+        bad_url(
+          "a URL must not contain a user or password",
+          "name the variable that holds the key"
+        )
 
       _ ->
         bad_url(
-          "#{inspect(text, printable_limit: 80)} is no URL of a service",
+          "#{inspect(text, printable_limit: 80)} is not the URL of a service",
           "write it as https://HOST/PATH"
         )
     end
@@ -92,7 +99,7 @@ defmodule Situ.Infer.Http do
 
   defp bad_url(what, fix), do: {:error, Error.new(:bad_url, what, fix: fix)}
 
-  @doc "Whether the URL names this machine, so that nobody else can listen."
+  @doc "Returns whether the URL names this machine, so that no other machine can eavesdrop."
   @spec local?(url()) :: boolean()
   def local?(%{host: host}),
     do: host in ["localhost", "::1"] or match?({:ok, {127, _, _, _}}, address(host))
@@ -100,8 +107,8 @@ defmodule Situ.Infer.Http do
   defp address(host), do: :inet.parse_ipv4strict_address(String.to_charlist(host))
 
   @doc """
-  Sends the request; `fun` gets `{:status, status, headers}`, then `{:data, bytes}` as they come, and the accumulator,
-  and says `{:cont, acc}` or `{:halt, acc}`. The last accumulator is the answer. Redirections are not followed.
+  Sends the request. `fun` receives `{:status, status, headers}`, then `{:data, bytes}` as data arrive, with the
+  accumulator, and returns `{:cont, acc}` or `{:halt, acc}`. Returns the last accumulator. Redirects are not followed.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -136,13 +143,13 @@ defmodule Situ.Infer.Http do
     end
   end
 
-  # A line break in a value would be a header, or a request, of its own.
+  # A line break in a value could inject another header or request.
   defp check(headers) do
     if Enum.all?(headers, fn {name, value} -> not (name <> value =~ ~r/[\r\n\0]/) end),
       do: :ok,
       else:
         {:error,
-         Error.new(:bad_header, "a header of the request has a line break in it",
+         Error.new(:bad_header, "a header of the request contains a line break",
            fix: "remove the line break from the variable that holds the key"
          )}
   end
@@ -200,7 +207,7 @@ defmodule Situ.Infer.Http do
     end
   end
 
-  # OTP's rule compares no addresses with a host that was given as text.
+  # OTP's rule does not match IP addresses against a host that was given as text.
   defp names?({:dns_id, host}, {:iPAddress, bytes}) do
     case :inet.parse_strict_address(host) do
       {:ok, address} -> address_bytes(address) == IO.iodata_to_binary(bytes)
@@ -219,7 +226,7 @@ defmodule Situ.Infer.Http do
   rescue
     _ ->
       {:error,
-       Error.new(:not_trusted, "this system has no certificates of authorities",
+       Error.new(:not_trusted, "this system has no certificates of trusted authorities",
          fix: "install them: apt-get install ca-certificates"
        )}
   end
@@ -227,21 +234,21 @@ defmodule Situ.Infer.Http do
   defp trusted(file) do
     if File.regular?(file),
       do: {:ok, [cacertfile: String.to_charlist(file)]},
-      else: {:error, Error.new(:not_trusted, "cacertfile: there is no file #{file}")}
+      else: {:error, Error.new(:not_trusted, "cacertfile: file #{file} does not exist")}
   end
 
   defp not_trusted(url, alert) do
     Error.new(:not_trusted, "#{name(url)} could not prove its identity: #{alert}",
-      why: "its certificate must be signed by a known authority for that very name",
-      fix: "check the URL; name the authority of a server of your own by cacertfile:"
+      why: "its certificate must be signed by a trusted authority for exactly this name",
+      fix: "check the URL; for a private server, give its authority as cacertfile:"
     )
   end
 
-  defp unreachable(url, :timeout), do: late(url, "did not take the connection in time")
+  defp unreachable(url, :timeout), do: late(url, "did not accept the connection in time")
 
   defp unreachable(url, reason) do
     Error.new(:no_connection, "cannot reach #{name(url)}: #{reason(reason)}",
-      fix: "check that the service runs, and its URL"
+      fix: "check the URL, and that the service is running"
     )
   end
 
@@ -251,9 +258,9 @@ defmodule Situ.Infer.Http do
   defp send_all({transport, socket}, bytes, url) do
     case transport.send(socket, bytes) do
       :ok -> :ok
-      # It may have answered already, and closed: the answer says why.
+      # The service may already have responded and closed the connection; its response explains why.
       {:error, :closed} -> :ok
-      {:error, :timeout} -> {:error, late(url, "did not take the request in time")}
+      {:error, :timeout} -> {:error, late(url, "did not accept the request in time")}
       {:error, reason} -> {:error, unreachable(url, reason)}
     end
   end
@@ -269,7 +276,7 @@ defmodule Situ.Infer.Http do
         end
 
       {:error, :timeout} ->
-        {:error, late(url, "sent nothing more in time"), acc}
+        {:error, late(url, "stopped sending data"), acc}
 
       {:error, _closed} ->
         with :ok <- decoded(Decoder.close(decoder), url, acc), do: {:ok, acc}
@@ -288,23 +295,23 @@ defmodule Situ.Infer.Http do
 
   defp decoded({:error, :cut_off}, url, acc) do
     {:error,
-     Error.new(:cut_off, "#{name(url)} closed the connection before its answer was complete",
-       fix: "try again; look at the log of the service"
+     Error.new(:cut_off, "#{name(url)} closed the connection before the response was complete",
+       fix: "try again, and check the service's log"
      ), acc}
   end
 
   defp decoded({:error, why}, url, acc) do
     {:error,
-     Error.new(:bad_response, "#{name(url)} does not answer in HTTP",
+     Error.new(:bad_response, "#{name(url)} did not return a valid HTTP response",
        why: why,
-       fix: "check the URL: another program may listen there"
+       fix: "check the URL; another program may be listening there"
      ), acc}
   end
 
   defp decoded(fine, _url, _acc), do: fine
 
   defp late(url, what),
-    do: Error.new(:timeout, "#{name(url)} #{what}", fix: "raise the time-outs")
+    do: Error.new(:timeout, "#{name(url)} #{what}", fix: "increase the timeouts")
 
   defp name(url), do: "#{url.scheme}://#{url.host}:#{url.port}"
   defp close({transport, socket}), do: transport.close(socket)

@@ -1,10 +1,10 @@
 defmodule Situ.Infer.Labels do
   @moduledoc false
-  # The names of a network's classes, and the output that holds their scores.
+  # Loads the names of a network's classes, and finds the output with their scores.
   alias Situ.Error
   alias Situ.Infer.Model
 
-  @doc "The names, from a list or a text file with one on each line."
+  @doc "Returns the names, from a list or a text file with one name per line."
   @spec load(Path.t() | [String.t()]) :: {:ok, tuple()} | {:error, Error.t()}
   def load(names) when is_list(names), do: {:ok, List.to_tuple(names)}
 
@@ -15,7 +15,7 @@ defmodule Situ.Infer.Labels do
       false ->
         {:error,
          Error.new(:bad_labels, "the file of class names is not UTF-8 text: #{path}",
-           fix: "name a text file with a name on each line"
+           fix: "use a text file with one name per line"
          )}
 
       {:error, why} ->
@@ -26,12 +26,12 @@ defmodule Situ.Infer.Labels do
     end
   end
 
-  @doc "The name of the class with this number."
+  @doc "Returns the name of the class with this number, or the number if it has no name."
   @spec name(tuple(), non_neg_integer()) :: String.t()
   def name(labels, index) when index < tuple_size(labels), do: elem(labels, index)
   def name(_labels, index), do: Integer.to_string(index)
 
-  @doc "The output that is asked for, or the only one."
+  @doc "Returns the requested output, or the only one."
   @spec output(Model.t(), String.t() | nil) :: {:ok, String.t()} | {:error, Error.t()}
   def output(%Model{} = model, wanted) do
     names = Map.keys(model.outputs)
@@ -47,7 +47,7 @@ defmodule Situ.Infer.Labels do
         {:error,
          Error.new(:unknown_output, "which output of model #{model.name}?",
            why: "it has #{Enum.map_join(names, ", ", &inspect/1)}",
-           fix: "name one of them by output:"
+           fix: "choose an output with output:"
          )}
     end
   end

@@ -1,17 +1,17 @@
 defmodule Situ.Infer.LipSync do
   @moduledoc """
-  Estimates by how much the sound of a recording is late or early against its pictures, from lips and voice.
+  Estimates how far the audio of a recording lags or leads its video, from lips and voice.
 
       mouths = for m <- Situ.Store.messages(store, "Talk.Mouths"), do: {m.originating_time, m.data}
       voices = for m <- Situ.Store.messages(store, "Talk.Voice"), do: {m.originating_time, m.data}
       Situ.Infer.LipSync.estimate(mouths, voices)
       #=> %Situ.Infer.LipSync{shift: 300_000_000, confidence: 0.71, windows: 38}
 
-  For each shift of up to half a second, windows of one second with a voice in them are compared with the mouth that
-  agrees best: correlation of its opening with the loudness, as `Situ.Infer.ActiveSpeaker` decides who speaks. Only in
-  one place do lips and voice of a real speaker agree, and the mean over all windows has a narrow peak there. The
-  confidence is how much higher that peak is than the best shift that is not next to it, 0 to 1. Voices from outside
-  of the picture have no peak, so that the confidence is low.
+  For each shift of up to half a second, the voice in one-second windows is compared with the mouth that matches best:
+  the score is the correlation of its opening with the loudness, as in `Situ.Infer.ActiveSpeaker`. The lips and voice of
+  a real speaker match at only one shift, where the mean over all windows has a narrow peak. The confidence, 0 to 1, is
+  how much higher that peak is than the best shift outside it. Voices from outside the image have no peak, so their
+  confidence is low.
   """
   alias Situ.Infer.ActiveSpeaker.Agreement
   alias Situ.Infer.{Mouth, Voice}
@@ -19,7 +19,7 @@ defmodule Situ.Infer.LipSync do
   @enforce_keys [:shift, :confidence, :windows]
   defstruct [:shift, :confidence, :windows]
 
-  @typedoc "`shift` in nanoseconds, positive when the sound is late; `windows`: how many seconds were compared."
+  @typedoc "`shift` is in nanoseconds, and positive if the audio is late; `windows` is the number of windows compared."
   @type t :: %__MODULE__{
           shift: integer(),
           confidence: float(),
@@ -28,23 +28,23 @@ defmodule Situ.Infer.LipSync do
 
   @most 500_000_000
   @step 20_000_000
-  # Shifts this near to the best belong to its peak.
+  # Shifts this close to the best one belong to its peak.
   @peak 140_000_000
   @window 1_000_000_000
   @hop 200_000_000
-  # A film of hours is judged by so many windows, spread over all of it.
+  # A long recording is judged by at most this many windows, spread over all of it.
   @most_windows 300
   @min_pictures 8
   @clear_movement 0.03
   @compress 0.7
   @voiced 0.5
-  # Below these an estimate is a guess.
+  # Below these limits an estimate is a guess.
   @confident 0.5
   @min_windows 10
-  # Lips and voice that are this near are in step for every use.
+  # Lips and voice that are this close count as in sync.
   @in_step 80_000_000
 
-  @doc "Returns the estimate; lists in the order of time. Deterministic: the same lists give the same estimate."
+  @doc "Returns the estimate; both lists must be in order of time. The same lists always give the same estimate."
   @spec estimate([{Situ.Time.t(), %{term() => Mouth.t()}}], [{Situ.Time.t(), Voice.t()}]) :: t()
   def estimate(mouths, voices) do
     voices = List.to_tuple(voices)
@@ -62,7 +62,7 @@ defmodule Situ.Infer.LipSync do
   end
 
   @doc """
-  Returns whether sound and pictures are clearly out of step: by 80 ms or more, with enough confidence.
+  Returns whether audio and video are clearly out of sync: by at least 80 ms, with enough confidence.
 
       iex> Situ.Infer.LipSync.off?(%Situ.Infer.LipSync{shift: -300_000_000, confidence: 0.7, windows: 40})
       true
@@ -75,7 +75,7 @@ defmodule Situ.Infer.LipSync do
       estimate.windows >= @min_windows
   end
 
-  # Overlapping windows of pictures.
+  # Splits the images into overlapping windows.
   defp cut_windows([]), do: []
 
   defp cut_windows([{start, _} | _] = mouths) do
@@ -88,7 +88,7 @@ defmodule Situ.Infer.LipSync do
     Enum.take_every(windows, every)
   end
 
-  # The same windows are compared at every shift, so that the shifts have equal chances.
+  # The same windows are compared at every shift, so that all shifts are treated equally.
   defp voiced?(window, voices) do
     heard = for {time, _} <- window, voice = nearest_voice(voices, time), do: voice.probability
     length(heard) >= @min_pictures and Enum.count(heard, &(&1 > @voiced)) * 2 >= length(heard)
@@ -103,7 +103,7 @@ defmodule Situ.Infer.LipSync do
     sum / length(windows)
   end
 
-  # The mouth that agrees best is the speaker's, if anybody's.
+  # The mouth with the best score is taken to be the speaker's.
   defp best_agreement(window, voices, shift) do
     heard =
       for {time, mouths} <- window,
@@ -126,11 +126,11 @@ defmodule Situ.Infer.LipSync do
     Agreement.correlation(pairs) * min(1.0, (high - low) / @clear_movement)
   end
 
-  # Twice as loud is not twice as open.
+  # Loudness is compressed because twice the loudness is not twice the opening.
   defp loudness(%{level: level}) when level > 0.0, do: :math.pow(level, @compress)
   defp loudness(_voice), do: 0.0
 
-  # Returns the voice nearest to a time, `nil` where there is none within 40 ms.
+  # Returns the voice nearest to a time, or `nil` if there is none within 40 ms.
   defp nearest_voice(voices, time), do: nearest_voice(voices, time, 0, tuple_size(voices))
 
   defp nearest_voice(voices, time, low, high) when low < high do

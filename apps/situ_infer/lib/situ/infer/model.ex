@@ -8,46 +8,51 @@ defmodule Situ.Infer.Model do
     provider: [
       type: {:or, [{:in, [:cpu]}, {:tuple, [{:in, [:cuda]}, :non_neg_integer]}]},
       default: :cpu,
-      doc: "`:cpu`, or `{:cuda, device}` when the library has CUDA."
+      doc: "`:cpu`, or `{:cuda, device}` if the library was built with CUDA."
     ],
     threads: [
       type: :pos_integer,
       default: 1,
-      doc: "Threads inside one run. One is best while several components share the cores."
+      doc:
+        "The number of threads in one run. One is best while several components share the cores."
     ],
     sessions: [
       type: {:optional, :pos_integer},
       default: nil,
       doc:
-        "How many runs may go on at once, each with the network's memory; made when needed. `nil`: as many as cores."
+        "How many runs may be in progress at a time; each needs the network's memory. `nil`: as many as cores."
     ],
     schedule: [
       type: {:in, [:auto, :inline, :dirty]},
       default: :auto,
       doc:
-        "Where it runs; `:auto` measures while warming up: under 0.3 ms inline, else on a dirty scheduler."
+        "The scheduler of the runs. `:auto` measures during warm-up: inline below 0.3 ms, otherwise a dirty scheduler."
     ],
     warm_up: [
       type: :non_neg_integer,
       default: 3,
       doc:
-        "Runs before the first real one. They set free sizes to 1; a model that does not accept that is not warmed up."
+        "The number of warm-up runs. They set free sizes to 1; a model that rejects that is not warmed up."
     ],
     example: [
       type: :map,
       default: %{},
-      doc: "Inputs for the warm-up, `%{\"name\" => tensor}`; the others are zeros."
+      doc: "Inputs for the warm-up, `%{\"name\" => tensor}`; all other inputs are zeros."
     ],
     inputs: [
       type: :map,
       default: %{},
       doc: "The inputs that the file must have: `%{\"name\" => {type, shape}}`."
     ],
-    outputs: [type: :map, default: %{}, doc: "The outputs that it must have, likewise."]
+    outputs: [
+      type: :map,
+      default: %{},
+      doc: "The outputs that the file must have, in the same form."
+    ]
   ]
 
   @moduledoc """
-  A neural network loaded from an ONNX file: named tensors in, named tensors out.
+  A neural network loaded from an ONNX file, with named input tensors and named output tensors.
 
       iex> alias Situ.{Infer.Model, Tensor}
       iex> path = Model.path("silero_vad.onnx")
@@ -61,12 +66,12 @@ defmodule Situ.Infer.Model do
       iex> probability.shape
       {1, 1}
 
-  A model is loaded once and may be used by any process, by several at once; `shared/2` gives components that name the
-  same file and options the same copy, which is given back when the last of them ends.
+  A model is loaded once and may be used by several processes at the same time. With `shared/2`, components that name
+  the same file and options share one copy, which is released when the last of them ends.
 
-  The model's ports are checked **at load**: `:inputs` and `:outputs` name them with type and shape (`nil` for any
-  size, and a size the file leaves free matches anything), so a wrong file stops a pipeline before its first message,
-  with both shapes in the error.
+  The model's ports are checked **at load**. `:inputs` and `:outputs` give their types and shapes; `nil` means any size,
+  and a size that the file leaves free matches anything. A wrong file therefore stops a pipeline before its first
+  message, with an error that shows both shapes.
 
   Weights may be in separate files next to the model file (ONNX's external data, usual above 2 GB).
 
@@ -76,18 +81,19 @@ defmodule Situ.Infer.Model do
 
   ## Errors
 
-  `:no_onnxruntime` (the library is missing; can be tried again), `:no_model_file`, `:bad_model` (cut short, damaged),
-  `:model_shape` (other inputs or outputs than asked for), `:no_provider`, `:bad_tensor`, `:model_failed`.
+  `:no_onnxruntime` (the library is missing; the load can be retried), `:no_model_file`, `:bad_model` (truncated or
+  corrupt), `:model_shape` (inputs or outputs other than the expected ones), `:no_provider`, `:bad_tensor`,
+  `:model_failed`.
 
   ## Events
 
-  `[:situ, :infer, :load]` with `duration` (ns) and the `model`'s name; `stats/1` has the run times.
+  `[:situ, :infer, :load]` with the `duration` (ns) and the name of the `model`; `stats/1` returns the run times.
   """
 
   alias Situ.{Error, Tensor}
   alias Situ.Infer.Model.Ports
 
-  # Above this a run is long enough to hold other processes up: see the scheduler rules in the native guide.
+  # A longer run would delay other processes; see the scheduler rules in the native guide.
   @inline_limit_ns 300_000
 
   @enforce_keys [:name, :engine, :handle, :inputs, :outputs, :where, :counters]
@@ -110,8 +116,8 @@ defmodule Situ.Infer.Model do
   end
 
   @doc """
-  As `load/2`, from the bytes of an ONNX file; `path` is what errors and statistics call it, and external data is looked
-  for in its folder.
+  Like `load/2`, but from the bytes of an ONNX file. Errors and statistics name the model by `path`, and its external
+  data files are expected in that folder.
   """
   @spec from_bytes(binary(), Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def from_bytes(bytes, path, opts \\ []) do
@@ -132,10 +138,11 @@ defmodule Situ.Infer.Model do
   end
 
   @doc """
-  As `load/2`, but every caller with the same file and options gets the same model.
+  Like `load/2`, but every caller with the same file and options gets the same model.
 
-  It is kept while a process that asked for it lives, and for a minute after. Beyond 512 MB of model files (`config
-  :situ_infer, shared_bytes: n`) the one asked for longest ago is no longer shared: who has it keeps it.
+  A model is kept while a process that requested it is alive, and for a minute after that. Beyond 512 MB of model files
+  (`config :situ_infer, shared_bytes: n`) the least recently requested model is no longer shared; processes that have it
+  keep it.
   """
   @spec shared(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def shared(path, opts \\ []) do
@@ -150,9 +157,10 @@ defmodule Situ.Infer.Model do
   end
 
   @doc """
-  Runs the model on `%{"input name" => tensor}`; all its inputs must be there.
+  Runs the model on `%{"input name" => tensor}`, which must contain all inputs.
 
-  Answers `{:ok, %{"output name" => tensor}}`, or `:bad_tensor` naming the input, what it wants and what it got.
+  Returns `{:ok, %{"output name" => tensor}}`, or `:bad_tensor` with the input, its expected type and shape, and the
+  actual ones.
   """
   @spec run(t(), %{String.t() => Tensor.t()}) ::
           {:ok, %{String.t() => Tensor.t()}} | {:error, Error.t()}
@@ -163,10 +171,10 @@ defmodule Situ.Infer.Model do
   end
 
   @doc """
-  Runs several inputs at once by stacking them along the first dimension, where the file leaves that free; else one by
-  one.
+  Runs several inputs in one run by stacking them along the first dimension if the file leaves that free, and otherwise
+  one by one.
 
-  The answers are in the order of the inputs, each with the rows that belong to it.
+  The results are in the order of the inputs, each with its own rows.
   """
   @spec run_batch(t(), [%{String.t() => Tensor.t()}]) ::
           {:ok, [%{String.t() => Tensor.t()}]} | {:error, Error.t()}
@@ -177,8 +185,8 @@ defmodule Situ.Infer.Model do
   end
 
   @doc """
-  How often the model ran and how long that took: `%{runs: n, mean_ns: ns, last_ns: ns, max_ns: ns, where: :inline |
-  :dirty}`.
+  Returns how often the model ran and how long that took: `%{runs: n, mean_ns: ns, last_ns: ns, max_ns: ns, where:
+  :inline | :dirty}`.
   """
   @spec stats(t()) :: map()
   def stats(%__MODULE__{counters: c, where: where}) do
@@ -188,7 +196,7 @@ defmodule Situ.Infer.Model do
     %{runs: runs, mean_ns: mean, last_ns: last, max_ns: :counters.get(c, 4), where: where}
   end
 
-  @doc "One line about the model, for diagnostics."
+  @doc "Describes the model in one line, for diagnostics."
   @spec describe(t()) :: String.t()
   def describe(%__MODULE__{} = model) do
     stats = stats(model)
@@ -196,7 +204,7 @@ defmodule Situ.Infer.Model do
     "#{model.name}: #{stats.runs} runs, mean #{Situ.Time.format_duration(stats.mean_ns)}, #{stats.where}"
   end
 
-  @doc "The path of a model file that ships with this app (`\"silero_vad.onnx\"`)."
+  @doc "Returns the path of a model file bundled with this app (`\"silero_vad.onnx\"`)."
   @spec path(String.t()) :: Path.t()
   def path(file), do: Path.join([to_string(:code.priv_dir(:situ_infer)), "models", file])
 
@@ -241,7 +249,7 @@ defmodule Situ.Infer.Model do
     with {:ok, times} <- time_runs(model, example, opts[:warm_up], []) do
       {:ok, %{model | where: where(opts[:schedule], times)}}
     else
-      # Free sizes of 1 are a guess, so a failure may come from the guess and not from the model.
+      # Setting free sizes to 1 is a guess, so the guess may have caused the failure rather than the model.
       {:error, %Error{code: :model_failed} = error} ->
         if guessed?(model, opts), do: {:ok, model}, else: {:error, not_run(error, model, example)}
 
@@ -270,9 +278,9 @@ defmodule Situ.Infer.Model do
     Error.new(
       :model_failed,
       "model #{model.name} does not run on zeros (#{given}): #{error.what}",
-      why: "it is another kind of model, or needs inputs of particular values or sizes",
-      fix:
-        "use the model file this component is made for, or give inputs by example: or warm_up: 0"
+      why:
+        "the file contains a different kind of model, or its inputs need particular values or sizes",
+      fix: "use the model file this component is made for, or set example: inputs or warm_up: 0"
     )
   end
 
@@ -281,7 +289,7 @@ defmodule Situ.Infer.Model do
     Tensor.zeros(type, List.to_tuple(sizes))
   end
 
-  # The caller's shape of a port is more exact than a free dimension in the file.
+  # The caller's shape of a port may fix a dimension that the file leaves free.
   defp sizes(shape, opts, name) do
     case opts[:inputs] do
       %{^name => {_, wanted}} ->
@@ -331,7 +339,7 @@ defmodule Situ.Infer.Model do
      )}
   end
 
-  # As many bytes as its shape says; `nil` when there is nothing to say.
+  # Checks that the tensor has as many bytes as its shape needs; `nil` means that it does.
   defp whole(model, name, tensor) do
     _ = Tensor.reshape(tensor, tensor.shape)
     nil
@@ -340,9 +348,9 @@ defmodule Situ.Infer.Model do
       {:error,
        Error.new(
          :bad_tensor,
-         "model #{model.name}: the tensor for input #{inspect(name)} is broken",
+         "model #{model.name}: the tensor for input #{inspect(name)} is invalid",
          why: error.message,
-         fix: "make tensors with Situ.Tensor.new/3"
+         fix: "build tensors with Situ.Tensor.new/3"
        )}
   end
 
@@ -351,7 +359,7 @@ defmodule Situ.Infer.Model do
      Error.new(
        :bad_tensor,
        "model #{model.name}: input #{inspect(name)} takes #{Ports.show(wanted)}, got #{Ports.show(given)}",
-       fix: "-1 is any size: give a tensor of that type and shape, or use another model"
+       fix: "give a tensor of that type and shape (-1 is any size), or use another model"
      )}
   end
 

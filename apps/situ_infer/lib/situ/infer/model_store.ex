@@ -1,25 +1,25 @@
 defmodule Situ.Infer.ModelStore do
   @moduledoc """
-  Models that are too large to ship: fetched once by `bin/lib/fetch-model NAME`, shared by everything on the machine.
+  Models that are too large to bundle. `bin/lib/fetch-model NAME` downloads each once for all programs on the machine.
 
-  They lie in `SITU_MODELS`, else in `situ/models` of the person's cache folder (`XDG_CACHE_HOME`, `~/.cache`), a
-  folder each.
+  They are in `SITU_MODELS` or, if that is not set, in `situ/models` of the user's cache folder (`XDG_CACHE_HOME`,
+  `~/.cache`), with one folder per model.
 
-  | name | what | size | licence |
+  | name | purpose | size | licence |
   |---|---|---|---|
   | `moonshine-tiny-en` | English speech to text (`Situ.Infer.Speech.Moonshine`) | 44 MB | MIT |
   | `hibari` | English text to speech (`Situ.Infer.Speech.Hibari`) | 8 MB | Apache-2.0 |
-  | `pp-ocr-v4` | text in pictures (`Situ.Infer.TextReader`) | 16 MB | Apache-2.0 |
+  | `pp-ocr-v4` | text in images (`Situ.Infer.TextReader`) | 16 MB | Apache-2.0 |
   """
   alias Situ.Error
 
-  @doc "The folder of models."
+  @doc "Returns the folder that contains the models."
   @spec folder() :: Path.t()
   def folder, do: System.get_env("SITU_MODELS") || :filename.basedir(:user_cache, "situ/models")
 
   @doc """
-  The full path of a model's file. Errors say how to fetch the model: `:no_model_file`, and `:bad_model` for a file that
-  is not what was fetched, by the `SHA256SUMS` that lie beside it. A file is summed once, until it changes.
+  Returns the full path of a model's file. The error `:no_model_file` says how to download the model; `:bad_model` means
+  that the file does not match the `SHA256SUMS` next to it. The checksum of a file is computed once, until it changes.
   """
   @spec fetch(String.t(), String.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def fetch(name, file, folder \\ folder()) do
@@ -30,8 +30,8 @@ defmodule Situ.Infer.ModelStore do
     else
       {:error,
        Error.new(:no_model_file, "the model #{name} is not on this machine",
-         why: "there is no file #{path}",
-         fix: "run bin/lib/fetch-model #{name}, or set SITU_MODELS to the folder that holds it"
+         why: "file #{path} does not exist",
+         fix: "run bin/lib/fetch-model #{name}, or set SITU_MODELS to the folder that contains it"
        )}
     end
   end
@@ -41,15 +41,15 @@ defmodule Situ.Infer.ModelStore do
       {:ok, path}
     else
       {:error,
-       Error.new(:bad_model, "the model #{name} is not as it was fetched",
+       Error.new(:bad_model, "the file of model #{name} does not match its checksum",
          why:
-           "#{path} has another checksum than SHA256SUMS beside it: it was cut short or changed",
-         fix: "run bin/lib/fetch-model #{name}, which fetches it again"
+           "#{path} was truncated or changed: its checksum is not the one in SHA256SUMS next to it",
+         fix: "run bin/lib/fetch-model #{name} to download it again"
        )}
     end
   end
 
-  # Files that somebody put there have none.
+  # Files that were copied there by hand have no checksum.
   defp expected(path) do
     with {:ok, text} <- path |> Path.dirname() |> Path.join("SHA256SUMS") |> File.read() do
       lines =

@@ -1,14 +1,14 @@
 defmodule Situ.Infer.Mouth do
   @moduledoc """
-  How far a mouth is open.
+  The opening of a mouth.
 
-    * `opening`: distance of the inner lips over the distance of the outer eye corners: about 0.0 to 0.2 closed,
-      depending on the face, up to 0.4 wide open
-    * `baseline`: the opening of **this** mouth when it is closed, learnt while watching
-    * `open?`: clearly more open than that
+    * `opening`: the distance between the inner lips divided by the distance between the outer corners of the eyes;
+      about 0.0 to 0.2 when closed, depending on the face, and up to 0.4 wide open
+    * `baseline`: the opening of **this** mouth when it is closed, learned while tracking it
+    * `open?`: whether it is clearly more open than the baseline
 
-  Only the change within one face means anything: a smile with teeth measures as open as another face speaking. So a
-  fixed threshold fails, and each face gets a baseline that falls at once and rises slowly.
+  Only changes within one face are meaningful: the opening of a smile with teeth can equal that of another face while it
+  speaks. A fixed threshold therefore fails, and each face gets a baseline that falls quickly and rises slowly.
 
       iex> mouth = Situ.Infer.Mouth.watch(nil, 0, 0.12)
       iex> mouth = Situ.Infer.Mouth.watch(mouth, 40_000_000, 0.2)
@@ -17,7 +17,7 @@ defmodule Situ.Infer.Mouth do
   """
   alias Situ.Infer.FaceMesh
 
-  # The baseline goes half way down in 80 ms (two pictures, so that one bad one does not set it), and up by a third in
+  # The baseline falls by half in 80 ms (two images, so that a single bad one does not set it), and rises by a third in
   # 8 s.
   @fall_ns 80_000_000
   @rise_ns 20_000_000_000
@@ -34,14 +34,14 @@ defmodule Situ.Infer.Mouth do
           rect: Situ.Rect.t() | nil
         }
 
-  @doc "The opening seen on a mesh; 0.0 when its eyes coincide."
+  @doc "Returns the opening of the mouth in a mesh, or 0.0 if the corners of its eyes coincide."
   @spec opening(FaceMesh.t()) :: float()
   def opening(%FaceMesh{} = mesh) do
     eyes = FaceMesh.distance(mesh, 33, 263)
     if eyes > 1.0e-6, do: FaceMesh.distance(mesh, 13, 14) / eyes, else: 0.0
   end
 
-  @doc "The next opening of the same mouth; `nil` for the first."
+  @doc "Updates the mouth with its next opening; `before` is `nil` for the first."
   @spec watch(t() | nil, Situ.Time.t(), float(), Situ.Rect.t() | nil) :: t()
   def watch(before, time, opening, rect \\ nil)
 

@@ -2,8 +2,8 @@ defmodule Situ.Infer.MouthMeasure do
   @moduledoc """
   Measures the mouth of every face.
 
-  Input `:in` is a list of `Situ.Infer.FaceMesh` with ids, output `:out` a map of id to `Situ.Infer.Mouth`, at the
-  same time. A face that was not seen for ten seconds is forgotten.
+  Input `:in` is a list of `Situ.Infer.FaceMesh` with ids. Output `:out` is a map from id to `Situ.Infer.Mouth`, at the
+  same time. The baseline of a face that has not been found for ten seconds is dropped.
   """
   use Situ.Component,
     inputs: [in: {:list, Situ.Infer.FaceMesh}],

@@ -1,26 +1,26 @@
 defmodule Situ.Infer.MouthShape do
   @schema [
-    detector: [type: :keyword, default: [], doc: "Options of `Situ.Infer.FaceDetector`."],
-    tracker: [type: :keyword, default: [], doc: "Options of `Situ.Infer.FaceTracker`."],
-    landmarks: [type: :keyword, default: [], doc: "Options of `Situ.Infer.FaceLandmarks`."],
+    detector: [type: :keyword, default: [], doc: "Options for `Situ.Infer.FaceDetector`."],
+    tracker: [type: :keyword, default: [], doc: "Options for `Situ.Infer.FaceTracker`."],
+    landmarks: [type: :keyword, default: [], doc: "Options for `Situ.Infer.FaceLandmarks`."],
     policy: [
       type: {:optional, {:struct, Situ.Delivery}},
       default: nil,
       doc:
-        "Of the pictures that come in; live, `Situ.Delivery.latest()` keeps up with a fast camera."
+        "The delivery policy for the images; live, `Situ.Delivery.latest()` keeps up with a fast camera."
     ]
   ]
 
   @moduledoc """
-  The mouths in a stream of pictures: a composite of face detector, tracker, landmarks and measure.
+  Measures the mouths in a stream of images with a composite of face detector, tracker, landmarks and measure.
 
-      pictures -> FaceDetector -> FaceTracker -> FaceLandmarks -> MouthMeasure -> %{id => Situ.Infer.Mouth}
-          \\______________________________________/
+      images -> FaceDetector -> FaceTracker -> FaceLandmarks -> MouthMeasure -> %{id => Situ.Infer.Mouth}
+         \\____________________________________/
 
       mouths = camera |> Situ.Infer.MouthShape.detect()
 
-  `detect/2` gives the stream of mouths, `parts/2` the streams between the parts too. Each part is a process, so
-  detector and landmarks work on different pictures at the same time.
+  `detect/2` returns the stream of mouths, and `parts/2` also returns the intermediate streams. Each stage is a process,
+  so detector and landmarks work on different images at the same time.
 
   ## Options
 
@@ -31,11 +31,11 @@ defmodule Situ.Infer.MouthShape do
 
   @type parts :: %{faces: Stream.t(), meshes: Stream.t(), mouths: Stream.t()}
 
-  @doc "The stream of `%{face id => Situ.Infer.Mouth}`, one for every picture."
+  @doc "Returns the stream of `%{face id => Situ.Infer.Mouth}`, one for every image."
   @spec detect(Stream.t(), keyword()) :: Stream.t()
   def detect(pictures, opts \\ []), do: parts(pictures, opts).mouths
 
-  @doc "Streams of tracked faces, meshes and mouths."
+  @doc "Returns the streams of tracked faces, meshes and mouths."
   @spec parts(Stream.t(), keyword()) :: parts()
   def parts(%Stream{} = pictures, opts \\ []) do
     opts = Situ.Options.validate!(opts, @schema)
@@ -46,7 +46,7 @@ defmodule Situ.Infer.MouthShape do
         |> Situ.via(FaceDetector, [policy: opts[:policy]] ++ opts[:detector])
         |> Situ.via(FaceTracker, opts[:tracker])
 
-      # Exact: a picture that the detector dropped has no faces and goes no further.
+      # The join is exact, so an image that the detector dropped goes no further.
       meshes =
         pictures
         |> Situ.join(faces)

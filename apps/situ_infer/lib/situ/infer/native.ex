@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Native do
   @moduledoc false
-  # Stubs only; `Situ.Infer.Engine.Ort` is the one caller and checks what it passes.
+  # Stubs of the native functions. Their callers, `Situ.Infer.Engine.Ort` and `Situ.Infer.Patch`, check the arguments.
   @on_load :load
 
   def load do

@@ -4,37 +4,37 @@ defmodule Situ.Infer.ObjectDetector do
     version: [
       type: {:in, Situ.Infer.Detection.Yolo.versions()},
       default: :v8,
-      doc: "How the network says what it found, see `Situ.Infer.Detection.Yolo`."
+      doc: "The output format of the network, see `Situ.Infer.Detection.Yolo`."
     ],
     labels: [
       type: {:or, [:string, {:list, :string}]},
       default: [],
-      doc: "The names of the classes in their order, or a text file with one on each line."
+      doc: "The names of the classes in order, or a text file with one name per line."
     ],
-    min_score: [type: {:range, 0.0, 1.0}, default: 0.3, doc: "How sure it must be."],
+    min_score: [type: {:range, 0.0, 1.0}, default: 0.3, doc: "The minimum score of a box."],
     max_overlap: [
       type: {:range, 0.0, 1.0},
       default: 0.5,
       doc:
-        "Of two boxes of one class that overlap more (intersection over union), the likelier stays."
+        "The overlap (intersection over union) above which only the better of two boxes of one class is kept."
     ],
-    most: [type: :pos_integer, default: 100, doc: "How many boxes at most."],
+    most: [type: :pos_integer, default: 100, doc: "The maximum number of boxes."],
     output: [
       type: {:optional, :string},
       default: nil,
-      doc: "The output with the boxes; `nil`: the only one."
+      doc: "The output with the boxes; `nil` uses the only output."
     ],
     masks: [
       type: {:optional, :string},
       default: nil,
-      doc: "The output with the prototypes of masks, of networks that also find shapes (v8-seg)."
+      doc: "The output with the mask prototypes, for networks that also segment objects (v8-seg)."
     ],
     side: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "The picture's side, where the file leaves it free."
+      doc: "The side of the input image, if the file does not fix it."
     ],
-    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."]
+    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."]
   ]
 
   @schema @own ++
@@ -44,16 +44,16 @@ defmodule Situ.Infer.ObjectDetector do
             )
 
   @moduledoc """
-  Objects in pictures, by a YOLO network in an ONNX file.
+  Detects objects in images, with a YOLO network in an ONNX file.
 
       found = Situ.via(pictures, Situ.Infer.ObjectDetector, path: "yolov8n.onnx", labels: "coco.txt")
       found.out |> Situ.via(Situ.Infer.Tracker)
 
-  Input `:in` is a `Situ.Image` of an 8-bit format, output `:out` a list of `Situ.Rect` in the picture's pixels with
-  label and score, the likeliest first. Output `:masks`, with `masks:`, is a list of `:gray8` pictures, one for each
-  box: 255 where the object is; a mask covers its box. A v2 network wants `scale: 1`.
+  Input `:in` is a `Situ.Image` of an 8-bit format. Output `:out` is a list of `Situ.Rect` in image pixels with label
+  and score, most likely first. With `masks:`, output `:masks` is a list of `:gray8` images, one for each box, with 255
+  where the object is; a mask covers its box. A v2 network needs `scale: 1`.
 
-  Weights are yours to bring: look at their licence (many YOLO weights are AGPL-3.0).
+  No weights are bundled. Check the licence of the weights you use (many YOLO weights are AGPL-3.0).
 
   ## Options
 
@@ -71,7 +71,7 @@ defmodule Situ.Infer.ObjectDetector do
 
   defstruct [:opts, :model, :input, :output, :halves, :labels, :masks]
 
-  @doc "A function that finds the objects of a picture and their masks, for programs without pipelines."
+  @doc "Returns a function that finds the objects in an image and their masks, for programs without pipelines."
   @spec load(keyword()) ::
           {:ok, (Image.t() -> {:ok, {[Rect.t()], [Image.t()]}} | {:error, Error.t()})}
           | {:error, Error.t()}
@@ -142,7 +142,7 @@ defmodule Situ.Infer.ObjectDetector do
          :model_shape,
          "output #{inspect(output)} of #{model.name} is #{type} #{inspect(shape)}",
          why: "YOLO #{version} has outputs of another shape",
-         fix: "name another version:, or output:"
+         fix: "choose another version:, or another output:"
        )}
     end
   end
@@ -168,7 +168,7 @@ defmodule Situ.Infer.ObjectDetector do
   defp shapes(state, boxes, outputs),
     do: Masks.cut(state.masks, boxes, outputs[state.opts.masks], state.input.side)
 
-  # From the network's pixels to the picture's; what lies outside of the picture is no object's.
+  # Converts network pixels to image pixels, and clips the rectangle to the image.
   defp rect(box, patch, image, labels) do
     {x0, y0} = Patch.to_picture(patch, {box.x - 0.5, box.y - 0.5})
     {x1, y1} = Patch.to_picture(patch, {box.x + box.width - 0.5, box.y + box.height - 0.5})

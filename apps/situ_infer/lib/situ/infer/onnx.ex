@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Onnx do
   @moduledoc """
-  Writes small ONNX files: a graph of operators over named tensors, for the work before and after a network that is
-  best done by the same library, and for tests.
+  Writes small ONNX files: graphs of operators over named tensors. They are used for tests, and for pre- and
+  post-processing that is best done by the same library as the network.
 
       iex> bytes = Situ.Infer.Onnx.encode(
       ...>   inputs: [{"x", :f32, {nil, 2}}],
@@ -15,8 +15,8 @@ defmodule Situ.Infer.Onnx do
       [2.0, 6.0]
 
   A node is `{operator, inputs, outputs, attributes}`; an attribute is an integer, a float, a list of integers or a
-  text. `nil` in a shape is a free size. Operators are those of opset 13: <https://onnx.ai/onnx/operators/>. Nothing is
-  checked here: the engine does that when it loads the bytes.
+  string. `nil` in a shape is a free size. The operators are from opset 13: <https://onnx.ai/onnx/operators/>. The
+  graph is not checked here; the engine checks the bytes when it loads them.
   """
   import Situ.Bits, only: [known: 1]
   alias Situ.Tensor
@@ -49,8 +49,8 @@ defmodule Situ.Infer.Onnx do
   @doc """
   Returns the bytes of a file with `inputs:`, `outputs:`, `nodes:` and `constants:` (tensors by name).
 
-  A constant `{:external, file, offset, tensor}` has its data at that offset of `file`, next to the model file; the
-  caller writes it.
+  The data of a constant `{:external, file, offset, tensor}` is at that offset of `file`, next to the model file; the
+  caller must write it.
   """
   @spec encode(keyword()) :: binary()
   def encode(parts) do
@@ -73,7 +73,7 @@ defmodule Situ.Infer.Onnx do
   end
 
   @doc """
-  The metadata of a file: keys and values, both text. Empty if it is not an ONNX file.
+  Returns the metadata of a file, a map of strings. It is empty if the bytes are not an ONNX file.
 
       iex> Situ.Infer.Onnx.metadata(<<0x72, 8, 0x0A, 1, "a", 0x12, 3, "b", 0>>)
       %{}
@@ -88,7 +88,7 @@ defmodule Situ.Infer.Onnx do
     end
   end
 
-  # The fields of a message that are bytes; of a broken one, none.
+  # Returns the fields of a message that are bytes, or none if the message is malformed.
   defp fields(<<>>, found), do: found
 
   defp fields(bytes, found) do
@@ -135,7 +135,7 @@ defmodule Situ.Infer.Onnx do
     ]
   end
 
-  # The field of the value, and that of its kind.
+  # Encodes the value's field, and the field for the type of the value.
   defp attribute(value) when is_float(value),
     do: [[key(2, 5), <<value::float-little-32>>], int(20, 1)]
 
@@ -170,7 +170,7 @@ defmodule Situ.Infer.Onnx do
     [text(1, name), bytes(2, bytes(1, [int(1, Map.fetch!(@types, type)), bytes(2, dims)]))]
   end
 
-  # Protocol buffers: a field's number and kind, then its value.
+  # In Protocol Buffers a field is its number and wire type, followed by its value.
   defp text(field, value), do: bytes(field, value)
   defp bytes(field, value), do: [key(field, 2), varint(IO.iodata_length(value)), value]
   defp int(field, value), do: [key(field, 0), varint(value)]

@@ -4,41 +4,41 @@ defmodule Situ.Infer.OnnxModel do
       type: :map,
       default: %{},
       doc:
-        "Types and shapes of what the streams carry, `%{\"name\" => {type, shape}}`, `nil` for any size."
+        "The types and shapes of the streams' tensors, `%{\"name\" => {type, shape}}`; `nil` is any size."
     ],
     output: [
       type: {:optional, :string},
       default: nil,
-      doc: "The one output that is wanted: tensors come out; `nil`: maps of all of them by name."
+      doc: "The name of the output to emit, as tensors; `nil` emits maps of all outputs by name."
     ],
     device: [
       type: {:or, [{:in, [:cpu, :cuda]}, {:tuple, [{:in, [:cuda]}, :non_neg_integer]}]},
       default: :cpu,
       doc:
-        "Where it runs; `:cuda` (or `{:cuda, 1}`) needs an ONNX Runtime with CUDA, else it is an error."
+        "The device to run on. `:cuda` (or `{:cuda, 1}`) needs an ONNX Runtime with CUDA; without it there is an error."
     ],
     batch: [
       type: :pos_integer,
       default: 8,
       doc:
-        "How many messages that have piled up are run at once, where the file leaves the first size free."
+        "The maximum number of queued messages in one run, if the file leaves the first size free."
     ],
     model_options: [
       type: :keyword,
       default: [],
-      doc: "More for `Situ.Infer.Model.shared/2`: threads, sessions, warm-up ..."
+      doc: "More options for `Situ.Infer.Model.shared/2`: threads, sessions, warm-up ..."
     ]
   ]
 
   @moduledoc """
-  Any model in an ONNX file, on streams of tensors: named inputs, named outputs.
+  Runs any model in an ONNX file on streams of tensors, with named inputs and named outputs.
 
       depth = Situ.Infer.OnnxModel.run(pictures, "depth.onnx", output: "depth")
       out = Situ.Infer.OnnxModel.run(%{"image" => pictures, "text" => words}, "clip.onnx")
 
-  The file is read while the pipeline is **built**: inputs that it does not have, streams that it lacks, types and
-  shapes that differ from `shapes:` are errors then, with both sides in the message. Several inputs are joined by equal
-  originating times. An output has the time of its input. Messages that have piled up are run as one batch.
+  The file is read while the pipeline is **built**. Unknown inputs, missing streams, and types and shapes that differ
+  from `shapes:` are errors at that time, with both sides in the message. Several inputs are joined by equal originating
+  times. An output has the time of its input. Queued messages run as one batch.
 
   ## Options
 
@@ -46,7 +46,7 @@ defmodule Situ.Infer.OnnxModel do
 
   ## Errors
 
-  Those of `Situ.Infer.Model`, `:unknown_input`, `:missing_input`, `:unknown_output`.
+  The errors of `Situ.Infer.Model`, and `:unknown_input`, `:missing_input`, `:unknown_output`.
   """
   use Situ.Component,
     inputs: [in: :any],
@@ -58,7 +58,7 @@ defmodule Situ.Infer.OnnxModel do
 
   defstruct [:opts, :model, :only]
 
-  @doc "The model's output for the tensors of one stream, or of several by the names of its inputs. Options as above."
+  @doc "Runs the model on one stream of tensors, or on several by input name, and returns its output. Options as above."
   @spec run(Stream.t() | %{String.t() => Stream.t()}, Path.t(), keyword()) :: Stream.t()
   def run(streams, path, opts \\ []) do
     {own, placed} = Keyword.split(opts, Keyword.keys(@schema))
@@ -102,8 +102,8 @@ defmodule Situ.Infer.OnnxModel do
   defp missing(names, model) do
     Error.new(
       :missing_input,
-      "model #{model.name} wants a stream for #{Enum.map_join(names, ", ", &inspect/1)}",
-      fix: "give a map of streams by the names of its inputs"
+      "model #{model.name} needs a stream for #{Enum.map_join(names, ", ", &inspect/1)}",
+      fix: "pass a map of streams by the names of its inputs"
     )
   end
 

@@ -1,9 +1,9 @@
 defmodule Situ.Infer.Patch do
   @moduledoc """
-  A square of a picture, turned and scaled, as a network sees it: the affine map from patch pixels to picture pixels.
+  A square of an image, rotated and scaled as a network's input: the affine map from patch pixels to image pixels.
 
-  `cut/4` samples it (bilinear; black outside of the picture) straight into an input tensor `{1, size, size, 3}`, RGB.
-  `to_picture/2` maps what the network found back.
+  `cut/4` samples it (bilinear; black outside the image) directly into an input tensor `{1, size, size, 3}`, RGB.
+  `to_picture/2` maps the network's results back to the image.
 
       iex> patch = Situ.Infer.Patch.around({100.0, 50.0}, 64.0, 0.0, 32)
       iex> Situ.Infer.Patch.to_picture(patch, {16.0, 16.0})
@@ -17,7 +17,7 @@ defmodule Situ.Infer.Patch do
   @enforce_keys [:size, :matrix]
   defstruct [:size, :matrix]
 
-  @typedoc "`matrix` is `{a, b, c, d, e, f}`: patch `(x, y)` lies at picture `(a x + b y + c, d x + e y + f)`."
+  @typedoc "With `matrix` `{a, b, c, d, e, f}`, patch `(x, y)` maps to image `(a x + b y + c, d x + e y + f)`."
   @type t :: %__MODULE__{
           size: pos_integer(),
           matrix: {float(), float(), float(), float(), float(), float()}
@@ -25,8 +25,8 @@ defmodule Situ.Infer.Patch do
   @type point :: {float(), float()}
 
   @doc """
-  The patch whose middle is `center` and whose sides are `side` picture pixels, turned by `angle` radians (clockwise
-  on the screen), seen as `size` by `size` pixels.
+  Returns the patch with the middle `center` and sides of `side` image pixels, rotated by `angle` radians (clockwise on
+  the screen), sampled as `size` by `size` pixels.
   """
   @spec around(point(), float(), float(), pos_integer()) :: t()
   def around({cx, cy}, side, angle, size) do
@@ -39,8 +39,8 @@ defmodule Situ.Infer.Patch do
   end
 
   @doc """
-  The square from `{x, y}` with this side, not turned, so that pixel *areas* correspond (what resizing a crop does);
-  `around/4` instead keeps pixel centres on whole positions, as `warpAffine` does.
+  Returns the unrotated square of this side with its corner at `{x, y}`. Pixel *areas* correspond, as when a crop is
+  resized; `around/4` instead maps pixel centres to integer positions, as `warpAffine` does.
 
       iex> Situ.Infer.Patch.square({0.0, 0.0}, 256.0, 128).matrix
       {2.0, 0.0, 0.5, 0.0, 2.0, 0.5}
@@ -52,7 +52,7 @@ defmodule Situ.Infer.Patch do
     %__MODULE__{size: size, matrix: {k, 0.0, x + shift, 0.0, k, y + shift}}
   end
 
-  @doc "Where a patch position lies in the picture."
+  @doc "Converts a position in the patch to a position in the image."
   @spec to_picture(t(), point()) :: point()
   def to_picture(%__MODULE__{matrix: {a, b, c, d, e, f}}, {x, y}),
     do: {a * x + b * y + c, d * x + e * y + f}
@@ -60,7 +60,7 @@ defmodule Situ.Infer.Patch do
   @doc """
   Samples the patch; a channel value `v` (0..255) becomes `v * scale + offset`.
 
-  Takes 8-bit formats (grey becomes three equal channels). Errors: `:bad_image`.
+  The image must have an 8-bit format (grey becomes three equal channels). Errors: `:bad_image`.
   """
   @spec cut(t(), Image.t(), float(), float()) :: {:ok, Tensor.t()} | {:error, Error.t()}
   def cut(%__MODULE__{size: size} = patch, %Image{} = image, scale, offset) do
@@ -68,8 +68,8 @@ defmodule Situ.Infer.Patch do
   end
 
   @doc """
-  The same for any affine map from patch to picture pixels (a `matrix` as of `t:t/0`) and any size: `{1, height, width,
-  3}`.
+  Samples any affine map from patch to image pixels (a `matrix` as in `t:t/0`) at any size, into a tensor
+  `{1, height, width, 3}`.
   """
   @spec cut_affine(Image.t(), tuple(), {pos_integer(), pos_integer()}, float(), float()) ::
           {:ok, Tensor.t()} | {:error, Error.t()}
@@ -87,7 +87,7 @@ defmodule Situ.Infer.Patch do
 
   defp bad(image, {:ok, _}) do
     Error.new(:bad_image, "cannot cut from #{inspect(image)}",
-      why: "models take pictures of an 8-bit format",
+      why: "models take images of an 8-bit format",
       fix: "convert it first with Situ.Image"
     )
   end
@@ -95,7 +95,7 @@ defmodule Situ.Infer.Patch do
   defp bad(image, {:error, error}) do
     Error.new(:bad_image, "cannot cut from #{inspect(image)}",
       why: error.what,
-      fix: "look at what makes the picture: Situ.Image.new/1 makes only whole ones"
+      fix: "check the code that builds the image; Situ.Image.new/1 rejects incomplete ones"
     )
   end
 end

@@ -3,41 +3,42 @@ defmodule Situ.Infer.PersonMask do
     model: [
       type: {:optional, :string},
       default: nil,
-      doc: "The ONNX file; `nil` for the one that ships with the app."
+      doc: "The ONNX file; `nil` uses the bundled one."
     ],
-    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."],
+    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."],
     min_score: [
       type: {:range, 0.01, 0.99},
       default: 0.5,
-      doc: "How sure it must be that a place belongs to a person."
+      doc: "The minimum score of a pixel that belongs to the person."
     ],
     min_share: [
       type: {:range, 0.0, 1.0},
       default: 0.01,
-      doc: "A person covers at least so much of the picture; less is nobody."
+      doc: "The minimum share of the image that a person covers; smaller areas are ignored."
     ]
   ]
 
   @moduledoc """
-  Where in a picture the person is who stands before the camera (MediaPipe's selfie segmentation).
+  Segments the person in front of the camera (MediaPipe's selfie segmentation).
 
-  Input `:in` is a `Situ.Image` of an 8-bit format. Each picture makes a message on each output, at its time:
+  Input `:in` is a `Situ.Image` of an 8-bit format. Each image produces a message on each output, at its time:
 
-    * `:out`: a list of one `Situ.Rect` in the picture's pixels with the label `"person"` and the mean score of its
-      places, or of none;
-    * `:masks`: as many `:gray8` pictures, 255 where the person is; a mask covers its box. The studio draws both;
-    * `:scores`: a `:gray8` picture of 256 x 256 that covers the whole picture, whatever its shape: how sure the network
-      is of each place, 0 to 255, for what blurs or replaces the background.
+    * `:out`: a list of one `Situ.Rect` in image pixels, with the label `"person"` and the mean score of its pixels, or
+      an empty list;
+    * `:masks`: a `:gray8` image for each rectangle, 255 where the person is; a mask covers its box. The studio draws
+      both;
+    * `:scores`: a `:gray8` image of 256 x 256 that covers the whole input image, whatever its shape. It contains the
+      score of each pixel, 0 to 255, for blurring or replacing the background.
 
         person = Situ.via(pictures, Situ.Infer.PersonMask)
         Situ.Store.write(person.out, store, "Person")
         Situ.Store.write(person.masks, store, "Person.Masks")
 
-  The network was made for people within 2 m of a camera, from the head to the hips. It looks for what stands in front:
-  several people are one mask, and in pictures without anybody it may take a thing in the middle for a person. A look
-  costs about 5 ms on one core.
+  The network was trained on people within 2 m of a camera, from the head to the hips. It segments the foreground:
+  several people become one mask, and in an image without people it may mistake an object in the middle for a person.
+  One detection takes about 5 ms on one core.
 
-  Without a pipeline: `find/2`.
+  To use it without a pipeline, see `find/2`.
 
   ## Options
 
@@ -52,14 +53,14 @@ defmodule Situ.Infer.PersonMask do
   alias Situ.Infer.{Model, Onnx, Patch}
 
   @side 256
-  # Specks: a column or row belongs to the box when so much of it does.
+  # Ignores specks: a column or row belongs to the box if at least this share of it belongs to the person.
   @speck 0.02
   @ports [
     inputs: %{"input" => {:f32, {1, @side, @side, 3}}},
     outputs: %{"person" => {:f32, {1, @side, @side, 1}}}
   ]
 
-  @typedoc "The person in a picture: a box, its mask, and the scores of all places."
+  @typedoc "The person in an image: a box, its mask, and the scores of all pixels."
   @type found :: %{rects: [Rect.t()], masks: [Image.t()], scores: Image.t()}
 
   defstruct [:opts, :model, :reader]
@@ -83,7 +84,8 @@ defmodule Situ.Infer.PersonMask do
   def describe(%{model: model}), do: Model.describe(model)
 
   @doc """
-  The person in one picture, without a pipeline. Options as above. Errors: those of `Situ.Infer.Model`, `:bad_image`.
+  Finds the person in one image, without a pipeline. See the options above. Returns the errors of `Situ.Infer.Model` and
+  `:bad_image`.
   """
   @spec find(Image.t(), keyword()) :: {:ok, found()} | {:error, Error.t()}
   def find(%Image{} = image, opts \\ []) do
@@ -100,7 +102,7 @@ defmodule Situ.Infer.PersonMask do
          do: {:ok, %__MODULE__{opts: opts, model: model, reader: reader}}
   end
 
-  # Numbers of 65,536 places are work for the library that made them.
+  # ONNX Runtime evaluates the 65,536 scores too, since that is faster than Elixir.
   defp reader do
     place = fn name -> {name, :u8, {1, @side, @side, 1}} end
 
@@ -170,7 +172,7 @@ defmodule Situ.Infer.PersonMask do
     end
   end
 
-  # From the first that is no speck to the last.
+  # Returns the span from the first part that is more than a speck to the last.
   defp span(parts) do
     case for {part, i} <- Enum.with_index(parts), part > @speck, do: i do
       [] -> nil

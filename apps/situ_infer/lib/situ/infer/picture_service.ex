@@ -8,28 +8,28 @@ defmodule Situ.Infer.PictureService do
     key: [
       type: {:optional, :string},
       default: "AZURE_VISION_KEY",
-      doc: "The **name** of the environment variable that holds the key; `nil`: none is sent."
+      doc: "The **name** of the environment variable that contains the key; `nil` sends no key."
     ],
     features: [
       type: {:list, {:in, [:caption, :tags, :objects, :people, :text]}},
       default: [:tags, :objects],
-      doc: "The results to ask for."
+      doc: "The results to request."
     ],
-    quality: [type: {:integer, 1, 100}, default: 85, doc: "The quality of the JPEG that is sent."]
+    quality: [type: {:integer, 1, 100}, default: 85, doc: "The quality of the uploaded JPEG."]
   ]
   @schema @own ++ Keyword.delete(Situ.Infer.Service.schema(), :key)
 
   @moduledoc """
-  Describes pictures by a service with Azure's interface (Image Analysis 4.0). For OpenAI's, give a picture to
-  `Situ.Chat` (`Situ.Chat.Turn.user/2`).
+  Describes images with a service that has Azure's interface (Image Analysis 4.0). For services with OpenAI's interface,
+  send an image to `Situ.Chat` (`Situ.Chat.Turn.user/2`).
 
       seen = Situ.via(pictures, Situ.Infer.PictureService, url: "https://my.cognitiveservices.azure.com")
       Situ.each(seen, fn seen -> IO.inspect(for {tag, p} <- seen.tags, p > 0.8, do: tag) end)
 
-  Input `:in` is pictures (`Situ.Image`, or `Situ.EncodedImage` as it is), output `:out` a map for each, at its time:
-  `caption: {text, confidence} | nil`, `tags: [{name, confidence}]`, and `objects:`, `people:`, `text:` as lists of
-  `Situ.Rect` in the picture's pixels with label and score. Pictures wait while the service works on one: put a policy
-  such as `Situ.Delivery.latest()` in front of a camera.
+  Input `:in` is images (`Situ.Image`, or `Situ.EncodedImage`, which is sent unchanged). Output `:out` is a map for each
+  image, at its time: `caption: {text, confidence} | nil`, `tags: [{name, confidence}]`, and `objects:`, `people:` and
+  `text:` as lists of `Situ.Rect` in image pixels with label and score. Images wait while the service processes one, so
+  use a policy such as `Situ.Delivery.latest()` for a camera.
 
   ## Options
 
@@ -37,7 +37,7 @@ defmodule Situ.Infer.PictureService do
 
   ## Errors
 
-  Those of `Situ.Infer.Service`, `:bad_answer`.
+  The errors of `Situ.Infer.Service`, and `:bad_answer`.
   """
   use Situ.Component, inputs: [in: :any], outputs: [out: :map], options: @schema
 
@@ -95,9 +95,9 @@ defmodule Situ.Infer.PictureService do
   end
 
   defp bytes(other, _quality),
-    do: {:error, Error.new(:bad_image, "not a picture: #{inspect(other, limit: 3)}")}
+    do: {:error, Error.new(:bad_image, "not an image: #{inspect(other, limit: 3)}")}
 
-  @doc "The answer of the service as JSON, read; what is missing or of another shape is left out."
+  @doc "Parses the service's JSON response; values that are missing or malformed are left out."
   @spec seen(map()) :: seen()
   def seen(json) do
     %{

@@ -3,13 +3,13 @@ defmodule Situ.Infer.Punctuator do
     punctuation: [
       type: :module,
       default: Situ.Infer.Speech.Punctuation.Rules,
-      doc: "The module that does it, a `Situ.Infer.Speech.Punctuation`."
+      doc: "The module that punctuates, a `Situ.Infer.Speech.Punctuation`."
     ],
     options: [type: :keyword, default: [], doc: "Options for its `load/1`."]
   ]
 
   @moduledoc """
-  Sentences out of words (`Situ.Infer.punctuate/2`): input and output are `Situ.Infer.Speech.Utterance`s at the same
+  Turns words into sentences (`Situ.Infer.punctuate/2`). Input and output are `Situ.Infer.Speech.Utterance`s at the same
   times.
 
   ## Options

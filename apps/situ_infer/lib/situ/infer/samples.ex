@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Samples do
   @moduledoc false
-  # Sound that networks can hear: whole frames, and every sample a number. One that is none would make all that a
-  # network remembers none, for ever.
+  # Checks audio for networks: it must have complete frames of finite samples. A single NaN would turn a recurrent
+  # network's whole state into NaN permanently.
   alias Situ.{AudioBuffer, Error}
 
   @spec check(AudioBuffer.t()) :: :ok | {:error, Error.t()}
@@ -10,7 +10,7 @@ defmodule Situ.Infer.Samples do
       {:ok, %{format: %{sample: :f32}, data: data}} -> numbers(data, 0)
       {:ok, %{format: %{sample: :f64}, data: data}} -> numbers64(data, 0)
       {:ok, _} -> :ok
-      {:error, error} -> {:error, %{error | fix: error.fix || "look at what makes the sound"}}
+      {:error, error} -> {:error, %{error | fix: error.fix || "check the source of the audio"}}
     end
   end
 
@@ -24,9 +24,9 @@ defmodule Situ.Infer.Samples do
 
   defp none(i) do
     {:error,
-     Error.new(:bad_audio, "the sound is no sound: sample #{i} is not a number (NaN or infinite)",
-       why: "something before it divided by zero or overflowed",
-       fix: "look at what makes the sound; Situ.map can put silence in its place"
+     Error.new(:bad_audio, "invalid audio: sample #{i} is not a number (NaN or infinite)",
+       why: "an earlier component divided by zero or overflowed",
+       fix: "check the source of the audio; Situ.map can replace such buffers with silence"
      )}
   end
 end

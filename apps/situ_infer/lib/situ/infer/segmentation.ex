@@ -5,14 +5,14 @@ defmodule Situ.Infer.Segmentation do
       type: {:optional, :string},
       default: nil,
       doc:
-        "The output with a score for each class and pixel, `{1, classes, height, width}`; `nil`: the only one."
+        "The output with a score per class and pixel, `{1, classes, height, width}`; `nil` uses the only output."
     ],
     side: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "The picture's side, where the file leaves it free."
+      doc: "The side of the input image, if the file does not fix it."
     ],
-    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."]
+    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."]
   ]
 
   @imagenet [mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225], fit: :pad]
@@ -24,11 +24,11 @@ defmodule Situ.Infer.Segmentation do
             )
 
   @moduledoc """
-  Which class each place of a picture belongs to, by any network that scores classes for pixels (DeepLab, FCN ...).
+  Classifies each pixel of an image with any network that scores classes for pixels (DeepLab, FCN ...).
 
-  Input `:in` is a `Situ.Image` of an 8-bit format, output `:out` a `:gray8` picture of the network's size whose values
-  are the numbers of the likeliest classes (up to 256). With `fit: :pad`, as here unless said otherwise, it covers the
-  square around the picture; with `:crop` the square in its middle.
+  Input `:in` is a `Situ.Image` of an 8-bit format. Output `:out` is a `:gray8` image of the network's size whose values
+  are the numbers of the most likely classes (up to 256). With `fit: :pad`, the default here, it covers the square
+  around the image; with `:crop`, the square in its middle.
 
   ## Options
 
@@ -76,7 +76,7 @@ defmodule Situ.Infer.Segmentation do
   defp ok!({:error, error}), do: raise(error)
   defp ok!(fine), do: fine
 
-  # The largest of millions of numbers: work for the library that made them.
+  # ONNX Runtime chooses the best class of each pixel too, since there may be millions of numbers.
   defp choice(model, output) do
     case model.outputs[output] do
       {:f32, {_, classes, _, _}} when classes in -1..256 ->
@@ -95,8 +95,8 @@ defmodule Situ.Infer.Segmentation do
          Error.new(
            :model_shape,
            "output #{inspect(output)} of #{model.name} is #{type} #{inspect(shape)}",
-           why: "wanted is f32 {1, classes, height, width}, with 256 classes at most",
-           fix: "name the output by output:"
+           why: "it must be f32 {1, classes, height, width}, with at most 256 classes",
+           fix: "give the name of the score output as output:"
          )}
     end
   end

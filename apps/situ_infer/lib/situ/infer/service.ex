@@ -3,36 +3,36 @@ defmodule Situ.Infer.Service do
     key: [
       type: {:optional, :string},
       default: nil,
-      doc: "The **name** of the environment variable that holds the key; `nil`: none is sent."
+      doc: "The **name** of the environment variable that contains the key; `nil` sends no key."
     ],
     retries: [
       type: :non_neg_integer,
       default: 2,
-      doc: "How often a request that failed for now is tried again."
+      doc: "How often a request is retried after a temporary failure."
     ],
     backoff: [
       type: :pos_integer,
       default: 500,
-      doc: "The first wait before that, ms; it doubles each time, up to 30 s."
+      doc: "The delay before the first retry, in ms; it doubles each time, up to 30 s."
     ],
     most_bytes: [
       type: :pos_integer,
       default: 32_000_000,
-      doc: "The longest answer that is read."
+      doc: "The maximum size of a response."
     ]
   ]
   @schema @own ++ Situ.Infer.Http.schema()
 
   @moduledoc """
-  One question to a service on the network, one whole answer: what speech and vision services have in common
-  (`Situ.Infer.Http`; services that stream their answers have `Situ.Chat`).
+  Sends a request to a network service and returns the complete response. Speech and vision services share this module
+  (built on `Situ.Infer.Http`); for services that stream their responses, use `Situ.Chat`.
 
       {:ok, service} = Situ.Infer.Service.new("https://api.openai.com/v1", key: "OPENAI_API_KEY")
       json = [{"content-type", "application/json"}]
       {:ok, %{body: body}} = Situ.Infer.Service.post(service, "/audio/speech", json, request)
 
-  Keys are read from the environment at the moment they are sent, and are nowhere else: not in options, states, errors,
-  logs or URLs. A key goes only over TLS, or to this machine.
+  Keys are read from the environment when they are sent, and are never in options, states, errors, logs or URLs. A key
+  is sent only over TLS or to this machine.
 
   ## Options
 
@@ -40,8 +40,8 @@ defmodule Situ.Infer.Service do
 
   ## Errors
 
-  Those of `Situ.Infer.Http`, `:not_private`, `:no_key`, `:refused` (the service does not want to: wrong key, no such
-  model), `:service_failed` (it cannot now), `:too_long`.
+  The errors of `Situ.Infer.Http`, and `:not_private`, `:no_key`, `:refused` (the service rejects the request, for
+  example because of an invalid key or an unknown model), `:service_failed` (a temporary failure), `:too_long`.
   """
   alias Situ.Error
   alias Situ.Infer.Http
@@ -55,13 +55,13 @@ defmodule Situ.Infer.Service do
   @complaint_bytes 65_536
   @again [408, 409, 425, 429, 500, 502, 503, 504, 529]
 
-  @doc "The options' schema, for those that pass them on."
+  @doc "Returns the schema of the options, for modules that pass them on."
   @spec schema() :: Situ.Options.schema()
   def schema, do: @schema
 
   @doc """
-  A service at a URL; nothing is connected. `header` is how the key is sent: `:bearer`, or the name of a header of its
-  own.
+  Builds a service at a URL, without connecting. `header` selects how the key is sent: `:bearer`, or the name of a
+  separate header.
   """
   @spec new(String.t(), keyword(), :bearer | String.t()) :: {:ok, t()} | {:error, Error.t()}
   def new(url, opts, header \\ :bearer) do
@@ -73,7 +73,7 @@ defmodule Situ.Infer.Service do
             %__MODULE__{url: String.trim_trailing(url, "/"), opts: Map.new(opts), header: header}}
   end
 
-  @doc "Whether a key may be sent to a URL: over TLS, or to this machine."
+  @doc "Checks that a key may be sent to a URL: over TLS, or to this machine."
   @spec private(Http.url(), String.t() | nil) :: :ok | {:error, Error.t()}
   def private(_url, nil), do: :ok
   def private(%{scheme: :https}, _key), do: :ok
@@ -84,19 +84,19 @@ defmodule Situ.Infer.Service do
     else
       {:error,
        Error.new(:not_private, "a key is not sent to #{url.host} over http",
-         why: "everybody on the way could read it",
+         why: "other machines on the network could read it",
          fix: "use https://"
        )}
     end
   end
 
-  @doc "The key in the environment variable `name`. Error: `:no_key`."
+  @doc "Returns the key in the environment variable `name`. Error: `:no_key`."
   @spec key(String.t()) :: {:ok, String.t()} | {:error, Error.t()}
   def key(name) do
     case System.get_env(name) do
       key when key in [nil, ""] ->
         {:error,
-         Error.new(:no_key, "the environment has no variable #{name}",
+         Error.new(:no_key, "the environment variable #{name} is not set",
            fix: "set it to the key of the service before the program starts"
          )}
 
@@ -106,8 +106,7 @@ defmodule Situ.Infer.Service do
   end
 
   @doc """
-  An error in which a key is not to be read, should the service have repeated it; nor its beginning, where the text was
-  cut there.
+  Removes a key from an error, in case the service repeated it. A truncated key at the end of the text is removed, too.
 
       iex> error = Situ.Error.new(:refused, "sk-123 is wrong, not sk-1")
       iex> Situ.Infer.Service.hide(error, "sk-123").what
@@ -122,7 +121,7 @@ defmodule Situ.Infer.Service do
   end
 
   @doc """
-  A URL with a path behind its own, before what follows a question mark.
+  Appends a path to the path of a URL, before the query string.
 
       iex> Situ.Infer.Service.join("https://models.example/openai/gpt/?api-version=1", "/chat/completions")
       "https://models.example/openai/gpt/chat/completions?api-version=1"
@@ -135,14 +134,14 @@ defmodule Situ.Infer.Service do
     end
   end
 
-  @doc "How long to wait before the next try, ms: half of it at random, so that many do not come back together."
+  @doc "Returns the delay before the next retry in ms; half of it is random, so that clients do not all retry together."
   @spec pause(pos_integer(), non_neg_integer()) :: pos_integer()
   def pause(backoff, tries) do
     most = min(backoff * Integer.pow(2, min(tries, 16)), @longest_wait_ms)
     div(most, 2) + :rand.uniform(div(most, 2) + 1)
   end
 
-  @doc "Sends `body` to `path` (which follows the service's URL) and waits for the whole answer."
+  @doc "Sends `body` to `path` (appended to the service's URL) and waits for the complete response."
   @spec post(t(), String.t(), [Http.header()], iodata()) :: {:ok, answer()} | {:error, Error.t()}
   def post(%__MODULE__{} = service, path, headers, body) do
     case secret(service) do
@@ -151,7 +150,7 @@ defmodule Situ.Infer.Service do
 
       {:ok, key, own} ->
         with {:error, error} <- attempt(service, path, own ++ headers, body, 0),
-             # A service may repeat what it was sent.
+             # The service may repeat the key it was sent.
              do: {:error, hide(error, key)}
 
       error ->
@@ -172,7 +171,7 @@ defmodule Situ.Infer.Service do
   defp attempt(service, path, headers, body, tries) do
     case once(service, path, headers, body) do
       {:again, wait, _error} when tries < service.opts.retries ->
-        # The component that asks waits here, as it would for the answer.
+        # The calling component waits here, as it would wait for the response.
         Process.sleep(wait || pause(service.opts.backoff, tries))
         attempt(service, path, headers, body, tries + 1)
 
@@ -214,16 +213,18 @@ defmodule Situ.Infer.Service do
     if reply.bytes > reply.most,
       do:
         {:error,
-         Error.new(:too_long, "the answer of the service is too long", fix: "raise most_bytes:")},
+         Error.new(:too_long, "the response of the service is too long",
+           fix: "increase most_bytes:"
+         )},
       else:
         {:ok, %{status: status, headers: reply.headers, body: IO.iodata_to_binary(reply.body)}}
   end
 
   defp judge(%{status: status}) when status in [401, 403] do
-    # A service's words about a key may hold the key.
+    # The service's message about a key might contain the key, so it is left out.
     {:error,
-     Error.new(:refused, "the service refused the key (HTTP #{status})",
-       fix: "set the variable that key: names to a key which may use this"
+     Error.new(:refused, "the service rejected the key (HTTP #{status})",
+       fix: "set the variable named by key: to a key that is permitted to use this service"
      )}
   end
 
@@ -231,11 +232,11 @@ defmodule Situ.Infer.Service do
     said = complaint(IO.iodata_to_binary(reply.body))
 
     if status in @again do
-      what = "the service could not answer (HTTP #{status})#{said}"
+      what = "the service could not process the request (HTTP #{status})#{said}"
       {:again, wait(reply.headers), Error.new(:service_failed, what)}
     else
       {:error,
-       Error.new(:refused, "the service refused the request (HTTP #{status})#{said}",
+       Error.new(:refused, "the service rejected the request (HTTP #{status})#{said}",
          fix: "check the URL and the options"
        )}
     end

@@ -1,8 +1,8 @@
 defmodule Situ.Infer.Shelf do
   @moduledoc false
-  # Models loaded once and lent to every process that names the same file and options. Each is loaded in a process of
-  # its own, so that none waits for another; a process that asked is watched, and a model nobody is left to use goes
-  # after a while. The shelf holds no session, so a lost shelf costs a reload and nothing else.
+  # A cache of models. Each model is loaded once and shared by all processes that name the same file and options. It is
+  # loaded in a separate process, so that loads do not block each other. The processes that use a model are monitored,
+  # and an unused model is dropped after a while. The cache contains no sessions, so losing it only costs reloading.
   use GenServer
 
   @keep_ms 60_000
@@ -16,14 +16,15 @@ defmodule Situ.Infer.Shelf do
   end
 
   @doc """
-  The model under `key`; else what `load` answers, which runs in another process. `size` is what it counts, in bytes.
+  Returns the model under `key`, or the result of `load`, which runs in another process. `size` is the size of the model
+  in bytes.
   """
   @spec fetch(GenServer.server(), term(), non_neg_integer(), (() -> result)) :: result
         when result: {:ok, term()} | {:error, Exception.t()}
   def fetch(shelf \\ __MODULE__, key, size, load),
     do: GenServer.call(shelf, {:fetch, key, size, load}, :infinity)
 
-  @doc "The keys of the models there are, the one used last first."
+  @doc "Returns the keys of the loaded models, the most recently used one first."
   @spec keys(GenServer.server()) :: [term()]
   def keys(shelf \\ __MODULE__), do: GenServer.call(shelf, :keys)
 
@@ -65,7 +66,7 @@ defmodule Situ.Infer.Shelf do
     end
   end
 
-  # Nobody asked for it since its last user ended.
+  # Drops the model if nobody requested it since its last user ended.
   def handle_info({:unused, key, used}, state) do
     case state.loaded do
       %{^key => %{used: ^used, users: users}} when users == %{} ->
@@ -129,7 +130,7 @@ defmodule Situ.Infer.Shelf do
     end
   end
 
-  # The one just loaded stays, however large.
+  # The model just loaded is never evicted, however large it is.
   defp shrink(state, key) do
     total = state.loaded |> Map.values() |> Enum.map(& &1.size) |> Enum.sum()
     others = Map.delete(state.loaded, key)

@@ -1,23 +1,25 @@
 defmodule Situ.Infer.SimpleVad do
   @schema [
-    threshold: [type: :number, default: 7.0, doc: "Log energy between noise and speech."],
+    threshold: [
+      type: :number,
+      default: 7.0,
+      doc: "The log energy that separates noise from speech."
+    ],
     window: [
       type: :time_ns,
       default: 300_000_000,
-      doc: "All values this far ahead must agree, in nanoseconds."
+      doc: "How far ahead all values must agree, in ns."
     ]
   ]
 
   @moduledoc """
-  Voice activity from log energy alone, by unanimity: speech begins where every value of the next 300 ms lies above
-  the threshold, and ends where every one lies below it; else it stays as it was.
+  Detects voice activity from log energy alone, by unanimity. Speech starts where all values of the next 300 ms are
+  above the threshold, and ends where all of them are below it; otherwise the state is unchanged.
 
-  Input `:in` is a number, the log energy of a frame of sound (`ln` of the mean square of 16-bit samples, as the
-  acoustic features give it), output `:out` a boolean at the same time. A value is known once the stream has reached
-  the window's end, so the answer comes 300 ms late; the values of the last 300 ms of a stream are decided by what
-  there is.
-
-  Good enough for a quiet room and a close microphone; `Situ.Infer.VoiceActivity` is better everywhere else.
+  Input `:in` is a number, the log energy of an audio frame (`ln` of the mean square of 16-bit samples, as computed by
+  the acoustic features). Output `:out` is a boolean at the same time. A value is decided when the stream reaches the
+  end of its window, so the output is delayed by 300 ms; the last 300 ms of a stream are decided by the existing values.
+  It is sufficient for a quiet room and a close microphone; `Situ.Infer.VoiceActivity` is better everywhere else.
 
       iex> vad = Situ.Infer.SimpleVad.new(window: 20)
       iex> {[], vad} = Situ.Infer.SimpleVad.push(vad, 0, 9.0)
@@ -37,7 +39,7 @@ defmodule Situ.Infer.SimpleVad do
   @type t :: %__MODULE__{}
   @type decisions :: [{Situ.Time.t(), boolean()}]
 
-  @doc "A state machine that has heard nothing. Options as above."
+  @doc "Returns the initial state, without speech. See the options above."
   @spec new(keyword()) :: t()
   def new(opts \\ []), do: opts |> Situ.Options.validate!(@schema) |> build()
 
@@ -56,13 +58,13 @@ defmodule Situ.Infer.SimpleVad do
     {for({time, speaking?} <- decisions, do: {:out, time, speaking?}), vad}
   end
 
-  @doc "The next log energy: the times decided by it."
+  @doc "Adds the next log energy, and returns the values that it decides."
   @spec push(t(), Situ.Time.t(), number()) :: {decisions(), t()}
   def push(%__MODULE__{} = vad, time, value) do
     decide(%{vad | ahead: :queue.in({time, value - vad.threshold}, vad.ahead)}, time, [])
   end
 
-  @doc "No more values: the times left."
+  @doc "Ends the input, and returns the remaining values."
   @spec close(t()) :: {decisions(), t()}
   def close(%__MODULE__{} = vad), do: decide(vad, :infinity, [])
 

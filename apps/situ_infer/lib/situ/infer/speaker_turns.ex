@@ -3,29 +3,29 @@ defmodule Situ.Infer.SpeakerTurns do
     shortest: [
       type: :time_ns,
       default: 400_000_000,
-      doc: "Whoever is the speaker for less than this, ns, has no turn of their own."
+      doc: "The shortest time, in ns, for which a face must be the speaker to get a turn."
     ],
     nobody: [
       type: :time_ns,
       default: 1_000_000_000,
       doc:
-        "A voice that goes on for so long, ns, while nobody in the picture speaks is somebody's outside of it: a turn."
+        "How long, in ns, a voice must last while no face in the image speaks to be a turn of somebody outside it."
     ]
   ]
 
   @moduledoc """
-  Cuts speech where another face takes over without a pause, so that an utterance is one person's.
+  Cuts speech where another face takes over without a pause, so that each utterance belongs to one person.
 
-  Input `:heard` is `{speaking?, voice}`, both as `Situ.Infer.VoiceActivity` says, `:who` which faces speak
-  (`Situ.Infer.who_speaks/3`). Output `:out` is `speaking?` again, with a `false` in the likeliest moment near each
-  change of the speaker: the voice is hardly one there, or is quiet. `Situ.Infer.turns/2` joins what it needs:
+  Input `:heard` is `{speaking?, voice}`, both from `Situ.Infer.VoiceActivity`; `:who` is which faces speak
+  (`Situ.Infer.who_speaks/3`). Output `:out` is `speaking?` again, but with a `false` at the most likely moment near
+  each change of speaker, where the voice is weakest or quiet. `Situ.Infer.turns/2` joins the necessary streams:
 
       hear = Situ.via(sound, Situ.Infer.VoiceActivity)
       who = Situ.Infer.who_speaks(mouths, hear.voice)
       inputs = [sound: sound, speaking: Situ.Infer.turns(hear, who)]
       said = Situ.via(inputs, Situ.Infer.SpeechRecognizer, turns: true)
 
-  A change is known after it: values are held back for 2.2 s. The output depends on the messages alone.
+  A change is known only after it happens, so values are held back for 2.2 s. The output depends on the messages alone.
 
   ## Options
 
@@ -41,14 +41,14 @@ defmodule Situ.Infer.SpeakerTurns do
 
   alias Situ.Infer.Voice
 
-  # Lips tell of a change up to so long after it, and so long before it. That nobody's lips move any more is known
-  # later.
+  # Lips show a change up to `@late` after it and `@soon` before it. It takes longer (`@later`) to know that nobody's
+  # lips move any more.
   @late 700_000_000
   @soon 300_000_000
   @later 1_200_000_000
-  # No piece of speech is cut shorter.
+  # No segment of speech is cut shorter than this.
   @piece 300_000_000
-  # Values that went out are remembered for so long: how long a voice has gone on.
+  # Emitted values are kept for this long, to know how long a voice has lasted.
   @memory 4_000_000_000
 
   defstruct [
@@ -63,7 +63,7 @@ defmodule Situ.Infer.SpeakerTurns do
 
   @type t :: %__MODULE__{}
 
-  @doc "Nothing heard or seen yet. Options as above."
+  @doc "Returns the initial state, without audio or faces. See the options above."
   @spec new(keyword()) :: t()
   def new(opts \\ []), do: %__MODULE__{opts: opts |> Situ.Options.validate!(@schema) |> Map.new()}
 
@@ -81,19 +81,19 @@ defmodule Situ.Infer.SpeakerTurns do
   def handle_closed(:heard, _time, _context, state), do: advance(%{state | heard_to: :infinity})
   def handle_closed(:who, _time, _context, state), do: see(state, :infinity, %{})
 
-  @doc "Whether there is speech in the stretch of sound that ended at `time`, and the voice in it: what is certain now."
+  @doc "Adds whether the audio up to `time` is speech, and its voice. Returns the actions that are now certain."
   @spec hear(t(), Situ.Time.t(), boolean(), Voice.t()) ::
           {[{:out, Situ.Time.t(), boolean()}], t()}
   def hear(%__MODULE__{} = state, time, speaking?, %Voice{} = voice),
     do: advance(%{state | held: :queue.in({time, speaking?, voice}, state.held), heard_to: time})
 
-  @doc "Which faces speak at `time`, `:infinity` when there are no more pictures: what is certain now."
+  @doc "Adds which faces speak at `time` (`:infinity` at the end of the images). Returns the actions now certain."
   @spec see(t(), Situ.Time.t() | :infinity, %{term() => boolean()}) ::
           {[{:out, Situ.Time.t(), boolean()}], t()}
   def see(%__MODULE__{} = state, time, who),
     do: advance(%{state | asked: :queue.in({time, speaker(who)}, state.asked)})
 
-  # One picture after the other, each once the sound around it is known: so the order in which they come is no matter.
+  # Handles images one by one, each when the audio around it is known, so the order of arrival does not matter.
   defp advance(%{heard_to: nil} = state), do: {[], state}
 
   defp advance(state) do
@@ -136,7 +136,7 @@ defmodule Situ.Infer.SpeakerTurns do
     end
   end
 
-  # Changes of the speaker that are certain and not looked at yet, oldest first.
+  # Handles the changes of speaker that are certain and not yet handled, oldest first.
   defp cut(%{seen_to: :infinity} = state), do: state
 
   defp cut(state) do
@@ -159,7 +159,7 @@ defmodule Situ.Infer.SpeakerTurns do
   defp changes([_ | turns]), do: changes(turns)
   defp changes([]), do: []
 
-  # Who was the speaker long enough, oldest first.
+  # Returns the runs in which somebody was the speaker for long enough, oldest first.
   defp turns(state) do
     for {who, from, to} = run <- Enum.reverse(state.runs), turn?(state, who, from, to), do: run
   end
@@ -174,7 +174,7 @@ defmodule Situ.Infer.SpeakerTurns do
     |> Enum.max(fn -> from end)
   end
 
-  # All that matters to the picture that is looked at.
+  # Returns all values that are relevant to the current image.
   defp heard(state) do
     Enum.reverse(
       state.past,
@@ -182,7 +182,7 @@ defmodule Situ.Infer.SpeakerTurns do
     )
   end
 
-  # The moment between two turns in one stretch of speech, `nil` where a pause is between them anyway.
+  # Returns the moment of the cut between two turns, or `nil` if there is a pause between them anyway.
   defp between(state, {from, left, who} = change) do
     {first, last} = if who == nil, do: {from - @later, from}, else: {from - @late, from + @soon}
     heard = heard(state)

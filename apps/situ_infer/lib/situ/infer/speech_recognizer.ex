@@ -3,67 +3,68 @@ defmodule Situ.Infer.SpeechRecognizer do
     recognizer: [
       type: :module,
       default: Situ.Infer.Speech.Moonshine,
-      doc: "The module that recognises, a `Situ.Infer.Speech.Recognizer`."
+      doc: "The module that recognizes speech, a `Situ.Infer.Speech.Recognizer`."
     ],
     recognizer_options: [type: :keyword, default: [], doc: "Options for its `load/1`."],
     partial: [
       type: {:optional, :time_ns},
       default: 300_000_000,
       doc:
-        "How often there is a result while somebody speaks, ns; a tenth of what was said when " <>
-          "that is longer. `nil`: none."
+        "How often a partial result is emitted during speech, in ns; a tenth of the speech so far if that " <>
+          "is longer. `nil`: never."
     ],
     margin: [
       type: :time_ns,
       default: 150_000_000,
-      doc: "Sound before and after the speech that is listened to, too, ns."
+      doc: "How much audio before and after the speech is also transcribed, in ns."
     ],
     late: [
       type: {:optional, :time_ns},
       default: nil,
       doc:
-        "For sound in real time: no result while somebody speaks when the sound for it is older than this, ns, so " <>
-          "that a slow machine does not fall behind. `nil`: all of them."
+        "For live audio: skips partial results whose audio is older than this, in ns, so that a slow machine " <>
+          "keeps up. `nil`: skips none."
     ],
     shortest: [
       type: :time_ns,
       default: 200_000_000,
-      doc: "Shorter speech is none, ns: of a clap or a struck chord, recognisers make words."
+      doc:
+        "Shorter speech is ignored, in ns; recognizers turn a clap or a struck chord into words."
     ],
     early: [
       type: {:optional, :time_ns},
       default: nil,
       doc:
-        "Recognises already after so short a pause, ns, and has the result at hand when the pause turns out to be " <>
-          "the end. For sound in real time: the answer is the same, and comes sooner for more work."
+        "Recognizes after a pause of this length, in ns, so that the result is ready if the pause turns out to be " <>
+          "the end. For live audio: the result is the same, and comes sooner at the cost of more work."
     ],
     turns: [
       type: :boolean,
       default: false,
       doc:
-        "`speaking` comes from `Situ.Infer.turns/3`, which interrupts it for a moment where somebody else goes on: " <>
-          "the margin ends there, and the value after a pause is waited for."
+        "Whether `speaking` comes from `Situ.Infer.turns/3`, which interrupts it for a moment where another person " <>
+          "takes over. The margin then ends there, and the value after a pause is waited for."
     ],
     longest: [
       type: :time_ns,
       default: 20_000_000_000,
-      doc: "The longest utterance, ns: longer speech without a pause is cut."
+      doc: "The longest utterance, in ns; longer speech without a pause is cut."
     ]
   ]
 
   @moduledoc """
-  Speech to text: the words between two pauses, and a partial result while somebody speaks.
+  Converts speech to text: the words between two pauses, and partial results during speech.
 
-  Input `:sound` is sound (`Situ.AudioBuffer`), `:speaking` whether somebody speaks, as `Situ.Infer.VoiceActivity` says:
-  recognisers invent words in noise. Output `:out` is a `Situ.Infer.Speech.Utterance` at the time when the speech ended,
-  `:partial` one while it goes on.
+  Input `:sound` is audio (`Situ.AudioBuffer`). Input `:speaking` is whether somebody speaks, from
+  `Situ.Infer.VoiceActivity`, because recognizers invent words in noise. Output `:out` is a
+  `Situ.Infer.Speech.Utterance` at the time when the speech ended; `:partial` emits one during the speech.
 
       speaking = Situ.Infer.voice_activity(sound)
       heard = Situ.via([sound: sound, speaking: speaking], Situ.Infer.SpeechRecognizer)
       heard.out |> Situ.each(&IO.puts(&1.text))
 
   A message on the optional input `:options` (a keyword list, such as `[grammar: other]`) changes `recognizer_options`
-  while it runs.
+  at run time.
 
   The output depends on the messages only, not on when they arrive. `Situ.Infer.transcribe/2` adds voice activity.
 
@@ -79,9 +80,9 @@ defmodule Situ.Infer.SpeechRecognizer do
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Infer.Speech.Utterance
 
-  # A value of `speaking` is about so much sound.
+  # The length of audio that one value of `speaking` covers.
   @value 32_000_000
-  # Sound before anybody speaks is forgotten after this.
+  # Audio from before any speech is dropped after this time.
   @memory 2_000_000_000
 
   defstruct [
@@ -114,7 +115,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   def handle_message(:speaking, %{data: speaking?, originating_time: time}, context, state),
     do: answer(%{ask(state, {time, speaking?}, time) | now: context.now})
 
-  # Whatever was said before is still recognised as it was asked for then.
+  # Earlier speech is still recognized with the options that were valid then.
   def handle_message(:options, %{data: changes}, _context, state),
     do: answer(%{state | asked: :queue.in({:options, changes}, state.asked)})
 
@@ -132,7 +133,7 @@ defmodule Situ.Infer.SpeechRecognizer do
 
   defp ask(state, value, to), do: %{state | asked: :queue.in(value, state.asked), asked_to: to}
 
-  # Each value of `speaking` is handled once the sound around it has come; other options come in between.
+  # Each value of `speaking` is handled once the audio around it has arrived; option changes keep their order.
   defp answer(state) do
     case :queue.peek(state.asked) do
       {:value, next} ->
@@ -149,7 +150,7 @@ defmodule Situ.Infer.SpeechRecognizer do
     end
   end
 
-  # Sound has come of which nobody knows yet whether it is a pause or the end.
+  # There is newer audio for which it is not yet known whether it is a pause or the end.
   defp early(%{opts: %{early: early}, open: %{to: to} = open} = state) when early != nil do
     enough? = to - open.from >= state.opts.shortest
 
@@ -173,7 +174,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   defp ready?(_state, :closed), do: false
   defp ready?(%{heard_to: nil}, _next), do: false
 
-  # With turns the margin behind speech ends where the next speech begins, so that has to be known, too.
+  # With turns, the margin after speech ends where the next speech starts, so that must be known, too.
   defp ready?(%{open: open, opts: opts} = state, {time, speaking?}) do
     until = time + opts.margin
     known? = speaking? or open == nil or not opts.turns or state.asked_to >= until
@@ -190,7 +191,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   defp step(:closed, state), do: finish(state)
 
   defp step({time, true}, %{open: nil} = state) do
-    # The first value of `true` covers a stretch of sound before it.
+    # The first value of `true` covers the audio before it.
     from = max(time - @value, state.answered_to || time - @value)
     {[], %{state | open: %{from: from, to: time, said: from, early: nil}, answered_to: time}}
   end
@@ -231,13 +232,13 @@ defmodule Situ.Infer.SpeechRecognizer do
   defp finish(%{open: %{to: to}, opts: opts} = state),
     do: finished(state, recognize(state, max(to, min(to + opts.margin, next_begins(state)))))
 
-  # Whoever talks for too long goes on at once: no margin.
+  # Speech that is cut at the maximum length continues without a pause, so there is no margin.
   defp cut(state), do: finished(state, recognize(state, state.open.to))
 
   defp finished(%{open: open} = state, result),
     do: {said(:out, result, open, true), %{state | open: nil, said_to: open.to}}
 
-  # Where the next utterance begins, if that is near: its words are not this one's.
+  # Returns the start of the next utterance if that is near, since its words do not belong to this one.
   defp next_begins(%{opts: %{turns: false}}), do: :infinity
 
   defp next_begins(%{asked: asked}) do
@@ -281,7 +282,7 @@ defmodule Situ.Infer.SpeechRecognizer do
     end
   end
 
-  # The sound between two times, and where it begins; what is missing of it is left out.
+  # Returns the audio between two times and its start; missing audio is left out.
   defp stretch(sound, from, to) do
     parts =
       for {time, buffer} <- Enum.reverse(sound), part = part(buffer, time, from, to), do: part

@@ -3,47 +3,47 @@ defmodule Situ.Infer.SpeechSynthesizer do
     synthesizer: [
       type: :module,
       default: Situ.Infer.Speech.Espeak,
-      doc: "The module that makes the sound, a `Situ.Infer.Speech.Synthesizer`."
+      doc: "The module that synthesizes speech, a `Situ.Infer.Speech.Synthesizer`."
     ],
     synthesizer_options: [type: :keyword, default: [], doc: "Options for its `load/1`."],
     rate: [
       type: {:range, 8_000, 48_000},
       default: 16_000,
-      doc: "Frames a second of the sound, Hz."
+      doc: "The sample rate of the audio, in Hz."
     ],
     stamp: [
       type: {:in, [:end, :text]},
       default: :end,
       doc:
-        "The sound's time: that of its end, as all sound's; or that of its text, for what plays it by its own clock."
+        "The time of the audio: its end, as for all audio, or the time of its text, for players with their own clock."
     ],
     marks: [
       type: :boolean,
       default: false,
-      doc: "Says what is spoken when; not with `stamp: :text`."
+      doc: "Whether to emit the times of words and phonemes; not allowed with `stamp: :text`."
     ],
     cache: [
       type: :non_neg_integer,
       default: 64,
-      doc: "How many texts are remembered with their sound."
+      doc: "The number of texts whose audio is cached."
     ]
   ]
 
   @moduledoc """
-  Text to speech: strings in, sound out.
+  Converts text to speech.
 
-  Input `:in` is text, output `:out` the sound of each as one `Situ.AudioBuffer` (16-bit mono). It begins when the
-  text came, or when the sound before it ends, and its time is that of its end. Texts without words give nothing; a
-  text that is said again comes from memory.
+  Input `:in` is text. Output `:out` is the audio of each text as one `Situ.AudioBuffer` (16-bit mono). It starts when
+  the text arrives, or when the previous audio ends, and its time is the time of its end. Texts without words produce no
+  audio, and the audio of a repeated text comes from a cache.
 
       answers |> Situ.via(Situ.Infer.SpeechSynthesizer, synthesizer_options: [voice: "en-gb"]).out
 
-  With `marks: true` the outputs `:words`, `:phonemes` and `:bookmarks` are `Situ.Infer.Speech.Mark`s, each at the time
-  when it begins to be spoken; not every synthesizer knows them (`c:Situ.Infer.Speech.Synthesizer.speak_marked/2`).
-  `Situ.Annotation.Spans` makes annotations of them.
+  With `marks: true`, the outputs `:words`, `:phonemes` and `:bookmarks` are `Situ.Infer.Speech.Mark`s, each at the time
+  when it starts to be spoken. Not every synthesizer supports them (`c:Situ.Infer.Speech.Synthesizer.speak_marked/2`).
+  `Situ.Annotation.Spans` converts them to annotations.
 
-  The sound comes at once, however long it is; `Situ.Assistant.Player` plays it in real time, piece by piece, and falls
-  silent when it is told to.
+  The audio is emitted as soon as it is synthesized, however long it is. `Situ.Assistant.Player` plays it in real time,
+  in chunks, and can be stopped.
 
   ## Options
 
@@ -71,7 +71,7 @@ defmodule Situ.Infer.SpeechSynthesizer do
     if opts[:marks] and opts[:stamp] == :text,
       do:
         {:error,
-         Error.new(:bad_option, "marks need the time of the sound",
+         Error.new(:bad_option, "marks: cannot be combined with stamp: :text",
            fix: "leave out stamp: :text, or marks:"
          )},
       else: {:ok, %__MODULE__{opts: Map.new(opts)}}
@@ -82,7 +82,9 @@ defmodule Situ.Infer.SpeechSynthesizer do
     voice = Error.unwrap!(opts.synthesizer.load(opts.synthesizer_options))
 
     if opts.marks and not function_exported?(opts.synthesizer, :speak_marked, 2) do
-      raise Error.new(:no_marks, "#{inspect(opts.synthesizer)} gives no times of words",
+      raise Error.new(
+              :no_marks,
+              "#{inspect(opts.synthesizer)} does not support the times of words",
               fix: "use Situ.Infer.Speech.Espeak, or leave out marks:"
             )
     end
@@ -111,7 +113,7 @@ defmodule Situ.Infer.SpeechSynthesizer do
       |> Enum.map_reduce(state.last, fn mark, last ->
         output = @outputs[mark.kind]
         mark = Mark.shift(mark, begins)
-        # Two marks may stand at one place of the text.
+        # Two marks may have the same position in the text.
         at = max(mark.from, Map.get(last, output, mark.from - 1) + 1)
         {{output, at, mark}, Map.put(last, output, at)}
       end)

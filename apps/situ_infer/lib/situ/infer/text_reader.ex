@@ -3,38 +3,38 @@ defmodule Situ.Infer.TextReader do
     folder: [
       type: {:optional, :string},
       default: nil,
-      doc: "Where the two files of PP-OCRv4 are, else `Situ.Infer.ModelStore`."
+      doc: "The folder with the two files of PP-OCRv4; `nil` uses `Situ.Infer.ModelStore`."
     ],
     side: [
       type: {:range, 64, 4_096},
       default: 736,
-      doc: "The picture is looked at with its shorter side enlarged to so many pixels ..."
+      doc: "The image is enlarged until its shorter side has this many pixels ..."
     ],
     longest: [
       type: {:range, 64, 4_096},
       default: 1_600,
-      doc: "... and its longer one made no longer than this."
+      doc: "... but its longer side is never longer than this."
     ],
     min_score: [
       type: {:range, 0, 1},
       default: 0.5,
-      doc: "Words with a lower confidence are left out."
+      doc: "Lines with a lower confidence are left out."
     ]
   ]
 
   @moduledoc """
-  Reads text in pictures: signs, labels, screens, pages; Latin letters, digits and Chinese.
+  Reads text in images: signs, labels, screens, pages; Latin letters, digits and Chinese.
 
       texts = Situ.via(pictures, Situ.Infer.TextReader)
       Situ.each(texts, fn lines -> for line <- lines, do: IO.puts(line.label) end)
 
-  Input `:in` is pictures (`Situ.Image`, 8 bits), output `:out` a list for each, at its time: the lines from top to
-  bottom as `Situ.Rect` (upright around the line, in the picture's pixels) with the text as label and a score. The
-  studio draws them over the picture. Lines may be turned, and run downwards.
+  Input `:in` is images (`Situ.Image`, 8 bits). Output `:out` is a list for each image, at its time: the lines from top
+  to bottom as `Situ.Rect` (upright around the line, in image pixels) with the text as label and a score. The studio
+  draws them over the image. Lines may be rotated, and may run downwards.
 
-  The networks are PP-OCRv4's (Apache-2.0, `bin/lib/fetch-model pp-ocr-v4`): one finds lines
-  (`Situ.Infer.Vision.TextPlaces`), the other reads each. A picture takes about half a second of one core: put
-  `Situ.Delivery.latest()` in front of a camera. `read/2` is the same on a picture in hand.
+  The networks are PP-OCRv4's (Apache-2.0, `bin/lib/fetch-model pp-ocr-v4`). One finds lines
+  (`Situ.Infer.Vision.TextPlaces`), and the other reads each line. An image takes about half a second on one core, so
+  use `Situ.Delivery.latest()` for a camera. `read/2` reads a single image.
 
   ## Options
 
@@ -42,7 +42,7 @@ defmodule Situ.Infer.TextReader do
 
   ## Errors
 
-  `:bad_image`, and those of `Situ.Infer.Model`.
+  `:bad_image`, and the errors of `Situ.Infer.Model`.
   """
   use Situ.Component,
     inputs: [in: Situ.Image],
@@ -107,23 +107,24 @@ defmodule Situ.Infer.TextReader do
   defp file(nil, name), do: ModelStore.fetch(@name, name)
   defp file(folder, name), do: {:ok, Path.join(folder, name)}
 
-  # Sign 0 is none; the last one, which the file does not list, is a space.
+  # Sign 0 is the blank; the last sign, which the file does not list, is a space.
   defp signs(path) do
     with {:ok, bytes} <- File.read(path),
          %{"character" => signs} <- Onnx.metadata(bytes) do
       {:ok, List.to_tuple([""] ++ String.split(signs, ["\r\n", "\n"]) ++ [" "])}
     else
       {:error, _} ->
-        {:error, Error.new(:no_model_file, "there is no file #{path}", fix: fetch())}
+        {:error, Error.new(:no_model_file, "file #{path} does not exist", fix: fetch())}
 
       _ ->
-        {:error, Error.new(:bad_model, "the model #{path} does not say its signs", fix: fetch())}
+        {:error,
+         Error.new(:bad_model, "the model #{path} does not list its characters", fix: fetch())}
     end
   end
 
   defp fetch, do: "run bin/lib/fetch-model #{@name}"
 
-  # Blue first, in planes, with grey to the right of a short line.
+  # Converts to BGR planes, and pads short lines with grey on the right.
   defp glue do
     Onnx.encode(
       inputs: [{"picture", :f32, {1, nil, nil, 3}}, {"pads", :s64, {8}}],
@@ -137,10 +138,10 @@ defmodule Situ.Infer.TextReader do
     )
   end
 
-  @doc "The lines of text in a picture, from top to bottom."
+  @doc "Reads the lines of text in an image, from top to bottom."
   @spec read(t(), Image.t()) :: {:ok, [Rect.t()]} | {:error, Error.t()}
   def read(%__MODULE__{} = reader, %Image{width: w, height: h} = image) do
-    # A picture without pixels has no scale; what cuts it says so.
+    # An image without pixels has no scale; sampling it returns the error.
     {width, height} = size(max(w, 1), max(h, 1), reader.opts)
     {kx, ky} = {w / width, h / height}
     matrix = {kx, 0.0, 0.5 * kx - 0.5, 0.0, ky, 0.5 * ky - 0.5}
@@ -154,7 +155,7 @@ defmodule Situ.Infer.TextReader do
     end
   end
 
-  # The network halves the picture five times.
+  # The network halves the image five times, so the sides must be multiples of 32.
   defp size(w, h, opts) do
     ratio = max(opts.side / min(w, h), 1.0)
     ratio = min(ratio, opts.longest / max(w, h))
@@ -173,7 +174,7 @@ defmodule Situ.Infer.TextReader do
     end
   end
 
-  # From the map to the picture, whose scales differ a little.
+  # Converts from the map to the image, whose horizontal and vertical scales differ slightly.
   defp placed(%{center: {x, y}, right: {ux, uy}, width: w, height: h} = place, kx, ky) do
     {rx, ry} = {ux * kx, uy * ky}
     along = :math.sqrt(rx * rx + ry * ry)
@@ -220,7 +221,7 @@ defmodule Situ.Infer.TextReader do
          do: {:ok, spell(chances, reader.signs)}
   end
 
-  # The likeliest sign of each step; the same one again is the same sign, and sign 0 none.
+  # Takes the most likely sign of each step, merges repeated signs, and drops sign 0 (CTC decoding).
   defp spell(%Tensor{shape: {1, _, signs}, data: data}, names) do
     steps = for <<step::binary-known(signs * 4) <- data>>, do: likeliest(step, 0, {0, 0.0})
     said = steps |> Enum.dedup_by(&elem(&1, 0)) |> Enum.reject(&(elem(&1, 0) == 0))

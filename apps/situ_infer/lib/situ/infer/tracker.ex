@@ -4,43 +4,43 @@ defmodule Situ.Infer.Tracker do
       type: {:in, [:kalman, :none]},
       default: :kalman,
       doc:
-        "Where a thing is looked for: where a Kalman filter expects it, or where it was (`:none`)."
+        "Where an object is searched for: where a Kalman filter expects it, or where it was (`:none`)."
     ],
     min_overlap: [
       type: {:range, 0.0, 1.0},
       default: 0.2,
-      doc: "Intersection over union that makes two boxes the same thing."
+      doc: "The minimum intersection over union of two boxes of the same object."
     ],
     max_missing: [
       type: :time_ns,
       default: 500_000_000,
-      doc: "How long a thing may be gone and still be the same one, ns."
+      doc: "How long an object may be missing and still keep its id, in ns."
     ],
     min_hits: [
       type: :pos_integer,
       default: 1,
-      doc: "How often a thing must have been found before it counts."
+      doc: "How often an object must have been found before it is emitted."
     ],
     labels: [
       type: {:in, [:same, :any]},
       default: :same,
       doc:
-        "Whether a thing keeps its label (`:same`), or may be called otherwise in the next picture."
+        "Whether an object keeps its label (`:same`), or may have a different one in the next image (`:any`)."
     ]
   ]
 
   @moduledoc """
-  Gives what a detector finds ids that stay (SORT; Bewley et al., 2016): a box is the thing whose expected place it
-  overlaps most, best pair first.
+  Gives the objects of a detector persistent ids (SORT; Bewley et al., 2016). A box is matched with the object whose
+  expected position it overlaps most, best pair first.
 
-  Input and output are lists of `Situ.Rect`; each that comes out has its thing's number in `id` (0, 1 ... in the order
-  of appearance, from left to right among those of one picture), and they are in the order of the ids. Boxes are as
-  the detector gave them. A thing that is gone for `max_missing:` never comes back: a new id is given. With a Kalman
-  filter a thing that passes behind another is found again on the other side.
+  Input and output are lists of `Situ.Rect`. Each emitted rectangle has its object's number in `id` (0, 1 ... in order
+  of appearance, and from left to right within an image), and the list is in order of the ids. The boxes are unchanged.
+  An object that is missing for longer than `max_missing:` gets a new id when it returns. With a Kalman filter, an
+  object that is hidden by another one while it moves is found again on the other side.
 
       found.out |> Situ.via(Situ.Infer.Tracker, min_hits: 3)
 
-  Pure, for use without a pipeline:
+  The pure functions also work without a pipeline:
 
       iex> alias Situ.{Infer.Tracker, Rect}
       iex> boxes = fn xs -> for x <- xs, do: Rect.new!(x, 0, 20, 20) end
@@ -73,7 +73,7 @@ defmodule Situ.Infer.Tracker do
          }
   @type t :: %__MODULE__{opts: map(), next_id: non_neg_integer(), tracks: [track()]}
 
-  @doc "A tracker that has seen nothing. Options as above."
+  @doc "Returns a tracker without tracks. See the options above."
   @spec new(keyword()) :: t()
   def new(opts \\ []), do: %__MODULE__{opts: Map.new(Situ.Options.validate!(opts, @schema))}
 
@@ -89,7 +89,7 @@ defmodule Situ.Infer.Tracker do
   @impl true
   def describe(tracker), do: "#{length(tracker.tracks)} tracks, #{tracker.next_id} things so far"
 
-  @doc "The rectangles found at `time` (later than the last) with their ids, in the same order."
+  @doc "Updates the tracks with the rectangles found at `time` (later than the last), and returns them with their ids."
   @spec step(t(), Situ.Time.t(), [Rect.t()]) :: {[Rect.t()], t()}
   def step(%__MODULE__{opts: opts} = tracker, time, rects) do
     tracks =
@@ -120,7 +120,7 @@ defmodule Situ.Infer.Tracker do
   defp place(%{motion: nil, rect: rect}), do: rect
   defp place(track), do: Motion.rect(track.motion, track.rect)
 
-  # Greedy, best pair first: it differs from an optimal assignment only where both are doubtful.
+  # The matching is greedy, best pair first. It differs from an optimal assignment only in doubtful cases.
   defp match(tracks, rects, time, opts) do
     pairs =
       for track <- tracks,

@@ -4,19 +4,23 @@ defmodule Situ.Infer.VoiceActivity do
               type: {:or, [{:in, [:silero, :energy]}, :module]},
               default: :silero,
               doc:
-                "`:silero`, a network; `:energy`, level above the noise, without any model; or a " <>
+                "`:silero` (a network), `:energy` (the level above the noise, without a model), or a " <>
                   "`Situ.Infer.Voice.Detector`."
             ],
             model: [
               type: {:optional, :string},
               default: nil,
-              doc: "Silero's ONNX file; `nil` for the one that ships with the app."
+              doc: "Silero's ONNX file; `nil` uses the bundled one."
             ],
-            model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."],
+            model_options: [
+              type: :keyword,
+              default: [],
+              doc: "Options for `Situ.Infer.Model.shared/2`."
+            ],
             above_db: [
               type: :number,
               default: 9.0,
-              doc: "`:energy`: a level this far above the noise is speech as likely as not."
+              doc: "`:energy`: the level above the noise that is speech with probability 0.5."
             ],
             rise_db_per_s: [
               type: :number,
@@ -26,20 +30,20 @@ defmodule Situ.Infer.VoiceActivity do
           ] ++ Situ.Infer.VoiceGate.schema()
 
   @moduledoc """
-  Hears whether somebody speaks.
+  Detects whether somebody speaks.
 
-  Input `:in` is 16 kHz mono sound (`Situ.AudioBuffer`, 16-bit or float; any buffer length). Every 32 ms of sound make
-  a message on each of the first two outputs, at the time of their end:
+  Input `:in` is 16 kHz mono audio (`Situ.AudioBuffer`, 16-bit or float; any buffer length). Every 32 ms of audio
+  produce a message on each of the first two outputs, at the time of their end:
 
-    * `:voice`: a `Situ.Infer.Voice`, probability and level, at once;
-    * `:speaking`: a boolean with hysteresis, see `Situ.Infer.VoiceGate`: up to `:min_silence` later;
-    * `:segments`: a `Situ.Infer.VoiceSegment` whenever one is over, at its end.
+    * `:voice`: a `Situ.Infer.Voice`, probability and level, without delay;
+    * `:speaking`: a boolean with hysteresis, see `Situ.Infer.VoiceGate`; up to `:min_silence` later;
+    * `:segments`: a `Situ.Infer.VoiceSegment` after each segment of speech, at its end.
 
         %{speaking: speaking, segments: segments} =
           Situ.via(microphone, Situ.Infer.VoiceActivity, min_silence: Situ.Time.ms(400))
 
   `Situ.Infer.voice/2` and `Situ.Infer.voice_activity/2` are the same with one output. A gap of more than 0.1 s in the
-  sound starts again. Silero takes about 0.15 ms a message, on the component's own scheduler.
+  audio resets the detector. Silero takes about 0.15 ms per message, on the component's own scheduler.
 
   ## Options
 
@@ -47,7 +51,7 @@ defmodule Situ.Infer.VoiceActivity do
 
   ## Errors
 
-  `:bad_audio_format` (resample first), and those of `Situ.Infer.Model`.
+  `:bad_audio_format` (resample first), and the errors of `Situ.Infer.Model`.
   """
   use Situ.Component,
     inputs: [in: Situ.AudioBuffer],
@@ -120,7 +124,7 @@ defmodule Situ.Infer.VoiceActivity do
     end
   end
 
-  # After a gap in the sound the detector starts afresh.
+  # Resets the detector after a gap in the audio.
   defp break(state) do
     {events, gate} = VoiceGate.close(state.gate)
     {module, detector} = state.detector

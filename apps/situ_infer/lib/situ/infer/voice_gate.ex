@@ -1,32 +1,32 @@
 defmodule Situ.Infer.VoiceGate do
   @schema [
-    on: [type: {:range, 0, 1}, default: 0.5, doc: "Speech begins at this probability."],
-    off: [type: {:range, 0, 1}, default: 0.35, doc: "Speech goes on down to this one."],
+    on: [type: {:range, 0, 1}, default: 0.5, doc: "Speech starts at this probability."],
+    off: [type: {:range, 0, 1}, default: 0.35, doc: "Speech ends below this probability."],
     min_speech: [
       type: :time_ns,
       default: 96_000_000,
-      doc: "Shorter speech is none, in nanoseconds."
+      doc: "Shorter speech is ignored, in ns."
     ],
     min_silence: [
       type: :time_ns,
       default: 250_000_000,
-      doc: "A shorter pause is part of the speech, in nanoseconds."
+      doc: "A shorter pause is part of the speech, in ns."
     ],
     decide: [
       type: {:in, [:exact, :at_once]},
       default: :exact,
       doc:
-        "`:exact` holds a value back while it is not sure (never longer than the two times " <>
-          "above); `:at_once` says what it believes."
+        "`:exact` holds a value back until it is certain (never longer than the two times above); " <>
+          "`:at_once` emits the current estimate without delay."
     ]
   ]
 
   @moduledoc """
-  Turns the probability of speech into yes or no, with hysteresis, and into segments. A pure state machine.
+  Converts the probability of speech to a boolean, with hysteresis, and to segments. A pure state machine.
 
-  Two thresholds keep it from flickering; short bursts are no speech and short pauses no silence. Whether a pause is
-  short is known only after it, so with `decide: :exact` the values of a pause are held back until it ends or grows
-  too long: what comes out then has no tail, and is the same live and from a file.
+  Two thresholds prevent flickering; short bursts are ignored, and short pauses are part of the speech. The length of a
+  pause is known only after it, so with `decide: :exact` the values of a pause are held back until it ends or becomes
+  too long. The output then has no trailing speech, and is the same for a live stream and a recording.
 
       iex> gate = Situ.Infer.VoiceGate.new(min_speech: 0, min_silence: 20)
       iex> {out, gate} = Situ.Infer.VoiceGate.push(gate, 10, 10, 0.9)
@@ -58,17 +58,17 @@ defmodule Situ.Infer.VoiceGate do
   @type event ::
           {Situ.Time.t(), boolean()} | {:segment, start :: Situ.Time.t(), stop :: Situ.Time.t()}
 
-  @doc "The options' schema, for components that pass them on."
+  @doc "Returns the schema of the options, for components that pass them on."
   @spec schema() :: Situ.Options.schema()
   def schema, do: @schema
 
-  @doc "A closed gate."
+  @doc "Returns a closed gate."
   @spec new(keyword()) :: t()
   def new(opts \\ []), do: %__MODULE__{opts: Map.new(Situ.Options.validate!(opts, @schema))}
 
   @doc """
-  The span of `length` ns that ended at `time` is speech with this probability: what is decided by it, in the order of
-  time, and a segment when one is over.
+  Adds the probability of speech in the span of `length` ns that ended at `time`. Returns the values that are now
+  decided, in order of time, and a segment when one ends.
   """
   @spec push(t(), Situ.Time.t(), Situ.Time.duration(), float()) :: {[event()], t()}
   def push(%__MODULE__{open: nil} = gate, time, length, p) do
@@ -85,12 +85,12 @@ defmodule Situ.Infer.VoiceGate do
     end
   end
 
-  @doc "The sound is over: what was held back, and the last segment."
+  @doc "Ends the input, and returns the values held back and the last segment."
   @spec close(t()) :: {[event()], t()}
   def close(%__MODULE__{open: nil} = gate), do: {[], gate}
   def close(gate), do: over(gate, [])
 
-  @doc "Whether speech is going on (or a pause in it)."
+  @doc "Returns whether speech (or a short pause in it) is in progress."
   @spec open?(t()) :: boolean()
   def open?(%__MODULE__{} = gate), do: gate.open != nil and gate.sure?
 

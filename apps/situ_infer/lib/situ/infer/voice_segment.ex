@@ -1,6 +1,6 @@
 defmodule Situ.Infer.VoiceSegment do
   @moduledoc """
-  A stretch of speech: it began at `start` and was over at `stop` (nanoseconds, times of the sound).
+  A segment of speech, from `start` to `stop` (nanoseconds, times of the audio).
 
       iex> Situ.Infer.VoiceSegment.duration(%Situ.Infer.VoiceSegment{start: 100, stop: 350})
       250
@@ -10,7 +10,7 @@ defmodule Situ.Infer.VoiceSegment do
 
   @type t :: %__MODULE__{start: Situ.Time.t(), stop: Situ.Time.t()}
 
-  @doc "How long it lasted, in nanoseconds."
+  @doc "Returns the duration in nanoseconds."
   @spec duration(t()) :: Situ.Time.duration()
   def duration(%__MODULE__{start: start, stop: stop}), do: stop - start
 end

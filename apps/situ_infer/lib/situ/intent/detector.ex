@@ -3,25 +3,25 @@ defmodule Situ.Intent.Detector do
     recognizer: [
       type: :module,
       default: Situ.Intent.Grammar,
-      doc: "The module that finds intents, a `Situ.Intent.Recognizer`."
+      doc: "The module that detects intents, a `Situ.Intent.Recognizer`."
     ],
     recognizer_options: [
       type: :keyword,
       required: true,
-      doc: "For its `load/1`: `[grammar: ...]`."
+      doc: "Options for its `load/1`, such as `[grammar: ...]`."
     ]
   ]
 
   @moduledoc """
-  Intents out of a stream of texts, or of what a recogniser heard.
+  Detects intents in a stream of texts or recognized utterances.
 
       heard = Situ.Infer.transcribe(sound)
       wanted = Situ.via([in: heard], Situ.Intent.Detector, recognizer_options: [grammar: "room.gram"])
 
-  Input `:in` is a string or a `Situ.Infer.Speech.Utterance`, output `:out` a `Situ.Intent` for each, at its time;
-  without intents where nothing is known. A message on the input `:options` (a keyword list, such as `[grammar:
-  other]`) changes the recogniser's options while it runs: from its originating time on. Options that cannot be used
-  are an error, and the old ones stay.
+  Input `:in` is a string or a `Situ.Infer.Speech.Utterance`. Output `:out` is a `Situ.Intent` for each, at its time;
+  its intents are empty if nothing matches. A message on the input `:options` (a keyword list, such as `[grammar:
+  other]`) changes the recognizer's options at run time, effective from its originating time. Invalid options raise an
+  error, and the old options remain in effect.
 
   ## Options
 
@@ -57,5 +57,5 @@ defmodule Situ.Intent.Detector do
   defp text(text) when is_binary(text), do: text
 
   defp text(other),
-    do: raise(Error.new(:bad_text, "not a sentence: #{inspect(other, limit: 5)}"))
+    do: raise(Error.new(:bad_text, "not a string or utterance: #{inspect(other, limit: 5)}"))
 end

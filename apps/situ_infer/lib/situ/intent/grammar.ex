@@ -3,31 +3,31 @@ defmodule Situ.Intent.Grammar do
     grammar: [
       type: :string,
       required: true,
-      doc: "The grammar itself, or the path of a file with it."
+      doc: "The grammar as text, or the path of its file."
     ],
     where: [
       type: {:in, [:anywhere, :whole]},
       default: :anywhere,
-      doc: "Whether a sentence may hold more than the grammar says, or must be it."
+      doc: "Whether the grammar may match a part of the sentence, or must match all of it."
     ],
     min_score: [
       type: {:range, 0.0, 1.0},
       default: 0.0,
-      doc: "The share of a sentence's words that must be the grammar's."
+      doc: "The minimum share of the sentence's words that the grammar must match."
     ]
   ]
 
   @moduledoc """
-  Intents by rules: a grammar in JSGF (`Situ.Intent.Jsgf`) with tags.
+  Detects intents with rules: a grammar in JSGF (`Situ.Intent.Jsgf`) with tags.
 
       #JSGF V1.0; grammar room;
       public <time>  = what time is it {intent=time} | tell me the time {intent=time};
       public <light> = turn {intent=light} (on {state=on} | off {state=off}) the light [in the <room> {room}];
       <room> = kitchen | bed room;
 
-  `{intent=NAME}` is the intent; `{KEY=VALUE}` an entity; `{KEY}` an entity whose value is what was said there, or the
-  number that `<NUMBER>` heard. A rule without `{intent=...}` has its own name as intent. The score is the share of the
-  sentence's words that the rule says; of several rules, the one that says most comes first.
+  `{intent=NAME}` sets the intent, and `{KEY=VALUE}` adds an entity. `{KEY}` adds an entity whose value is the matched
+  text, or the number matched by `<NUMBER>`. The intent of a rule without `{intent=...}` is the rule's name. The score
+  is the share of the sentence's words that the rule matches; the rule that matches most words comes first.
 
   ## Options
 
@@ -35,7 +35,7 @@ defmodule Situ.Intent.Grammar do
 
   ## Errors
 
-  `:bad_grammar` with the line, `:no_grammar` (no such file).
+  `:bad_grammar` (with the line), `:no_grammar` (the file cannot be read).
   """
   @behaviour Situ.Intent.Recognizer
 
@@ -43,7 +43,7 @@ defmodule Situ.Intent.Grammar do
   alias Situ.Infer.Speech.Utterance
   alias Situ.Intent.{Jsgf, Matcher}
 
-  # Nobody says more in one sentence.
+  # No spoken sentence is longer.
   @most_words 200
 
   @enforce_keys [:jsgf, :where, :min_score]
@@ -67,7 +67,7 @@ defmodule Situ.Intent.Grammar do
     else
       with {:error, why} <- File.read(text) do
         {:error,
-         Error.new(:no_grammar, "cannot read a grammar: #{:file.format_error(why)}",
+         Error.new(:no_grammar, "cannot read the grammar: #{:file.format_error(why)}",
            fix: "check the path #{text}"
          )}
       end
@@ -120,7 +120,7 @@ defmodule Situ.Intent.Grammar do
   defp intent({"intent=" <> name, _}), do: String.trim(name)
   defp intent(_), do: nil
 
-  # Those of the best rule.
+  # Only the entities of the best rule are returned.
   defp entities([]), do: []
 
   defp entities([{score, _, _, tags} | _]) do

@@ -1,14 +1,14 @@
 defmodule Situ.Intent.Jsgf do
   @moduledoc """
-  Reads grammars in the Java Speech Grammar Format (JSGF 1.0, <https://www.w3.org/TR/jsgf/>): rules, alternatives,
+  Parses grammars in the Java Speech Grammar Format (JSGF 1.0, <https://www.w3.org/TR/jsgf/>): rules, alternatives,
   `[optional]`, `(groups)`, `*`, `+`, `"quoted words"`, weights, tags, comments, `<NULL>` and `<VOID>`.
 
       iex> {:ok, grammar} = Situ.Intent.Jsgf.parse("#JSGF V1.0; grammar g; public <yes> = yes | of course;")
       iex> grammar.rules["yes"]
       {:alt, [{:word, "yes"}, {:seq, [{:word, "of"}, {:word, "course"}]}]}
 
-  Two rules are ours: `<NUMBER>` is a number from 0 to 999 in words or digits, `<WORDS>` one or more words of any kind.
-  `import` is refused: a grammar is one text.
+  Situ adds two built-in rules: `<NUMBER>` matches a number from 0 to 999 in words or digits, and `<WORDS>` matches one
+  or more words of any kind. `import` is not supported; a grammar must be a single text.
   """
   alias Situ.Error
 
@@ -31,7 +31,7 @@ defmodule Situ.Intent.Jsgf do
           rules: %{String.t() => expansion()}
         }
 
-  @doc "The grammar in a text; an error names the line."
+  @doc "Parses the text of a grammar; errors report the line."
   @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
   def parse(text) do
     with :ok <- plain(text),
@@ -47,7 +47,7 @@ defmodule Situ.Intent.Jsgf do
   end
 
   defp bad(why) do
-    Error.new(:bad_grammar, "this is no grammar that can be used",
+    Error.new(:bad_grammar, "invalid grammar",
       why: why,
       fix: "see https://www.w3.org/TR/jsgf/"
     )
@@ -55,13 +55,13 @@ defmodule Situ.Intent.Jsgf do
 
   defp plain(text) do
     cond do
-      not String.valid?(text) -> {:error, bad("it is no text in UTF-8")}
+      not String.valid?(text) -> {:error, bad("it is not valid UTF-8 text")}
       byte_size(text) > @most_bytes -> {:error, bad("it has more than #{@most_bytes} bytes")}
       true -> :ok
     end
   end
 
-  # Tokens: {kind, line} or {kind, line, text}.
+  # Tokens have the form {kind, line} or {kind, line, text}.
   defp tokens("", line, found), do: {:ok, Enum.reverse([{:end, line} | found])}
   defp tokens("\n" <> rest, line, found), do: tokens(rest, line + 1, found)
 
@@ -78,7 +78,7 @@ defmodule Situ.Intent.Jsgf do
   defp tokens("/*" <> rest, line, found) do
     case String.split(rest, "*/", parts: 2) do
       [comment, rest] -> tokens(rest, line + newlines(comment), found)
-      [_] -> {:error, line, "a comment has no end"}
+      [_] -> {:error, line, "a comment is not closed"}
     end
   end
 
@@ -89,7 +89,7 @@ defmodule Situ.Intent.Jsgf do
         tokens(cut(rest, all), line + newlines(all), [{:tag, line, text} | found])
 
       nil ->
-        {:error, line, "a tag has no end"}
+        {:error, line, "a tag is not closed"}
     end
   end
 
@@ -101,21 +101,21 @@ defmodule Situ.Intent.Jsgf do
         tokens(cut(rest, all), line + newlines(all), Enum.reverse(quoted, found))
 
       nil ->
-        {:error, line, "a quotation has no end"}
+        {:error, line, "a quotation is not closed"}
     end
   end
 
   defp tokens("<" <> rest, line, found) do
     case Regex.run(~r/\A([^<>\s;=|()\[\]{}]+)>/u, rest) do
       [all, name] -> tokens(cut(rest, all), line, [{:rule, line, name} | found])
-      nil -> {:error, line, "the name of a rule has no end"}
+      nil -> {:error, line, "the name of a rule is not closed with `>`"}
     end
   end
 
   defp tokens("/" <> rest, line, found) do
     case Regex.run(~r/\A\s*[0-9.]+\s*\//, rest) do
       [all] -> tokens(cut(rest, all), line, found)
-      nil -> {:error, line, "a weight is written /0.5/"}
+      nil -> {:error, line, "a weight must have the form /0.5/"}
     end
   end
 
@@ -140,7 +140,7 @@ defmodule Situ.Intent.Jsgf do
     end
   end
 
-  defp head(_), do: {:error, 1, "it does not begin with `#JSGF V1.0;`"}
+  defp head(_), do: {:error, 1, "the text does not begin with `#JSGF V1.0;`"}
 
   defp rules([{:end, _}], grammar), do: {:ok, grammar}
 
@@ -150,14 +150,14 @@ defmodule Situ.Intent.Jsgf do
   defp rules([{:rule, line, name} | rest], grammar), do: rule(name, line, rest, grammar)
 
   defp rules([{:word, line, "import"} | _], _grammar),
-    do: {:error, line, "import is not known: write all rules into one text"}
+    do: {:error, line, "import is not supported; write all rules in one text"}
 
-  defp rules([token | _], _grammar), do: {:error, elem(token, 1), "`<name> = ...;` was expected"}
+  defp rules([token | _], _grammar), do: {:error, elem(token, 1), "expected `<name> = ...;`"}
 
   defp rule(name, line, [{:=, _} | rest], grammar) do
     cond do
-      name in @built_in -> {:error, line, "<#{name}> is a rule that is built in"}
-      is_map_key(grammar.rules, name) -> {:error, line, "<#{name}> is there twice"}
+      name in @built_in -> {:error, line, "<#{name}> is a built-in rule"}
+      is_map_key(grammar.rules, name) -> {:error, line, "<#{name}> is defined twice"}
       true -> body(name, rest, grammar)
     end
   end
@@ -174,7 +174,7 @@ defmodule Situ.Intent.Jsgf do
   end
 
   defp alternatives([token | _], depth) when depth > @deepest,
-    do: {:error, elem(token, 1), "groups lie more than #{@deepest} deep"}
+    do: {:error, elem(token, 1), "groups are nested more than #{@deepest} deep"}
 
   defp alternatives(tokens, depth) do
     with {:ok, first, rest} <- sequence(tokens, [], depth) do
@@ -212,14 +212,14 @@ defmodule Situ.Intent.Jsgf do
         sequence(rest, [{if(sign == :*, do: :many, else: :some), last} | found], depth)
 
       [] ->
-        {:error, line, "there is nothing in front of `#{sign}`"}
+        {:error, line, "`#{sign}` has no preceding item"}
     end
   end
 
   defp sequence([{:tag, line, text} | rest], found, depth) do
     case found do
       [last | found] -> sequence(rest, [{:tag, last, text} | found], depth)
-      [] -> {:error, line, "there is nothing in front of {#{text}}"}
+      [] -> {:error, line, "{#{text}} has no preceding item"}
     end
   end
 
@@ -249,7 +249,7 @@ defmodule Situ.Intent.Jsgf do
 
   defp unknown(name, known) do
     near = Situ.Options.nearest(name, known)
-    {:error, bad("there is no rule <#{name}>#{if near, do: "; did you mean <#{near}>?"}")}
+    {:error, bad("unknown rule <#{name}>#{if near, do: "; did you mean <#{near}>?"}")}
   end
 
   defp used({:rule, name}), do: [name]

@@ -1,13 +1,13 @@
 defmodule Situ.Intent.Matcher do
   @moduledoc false
-  # The words of a sentence against a grammar. From each place, the places where an expansion can end, with the tags on
-  # the way there; of several ways to one place the first counts, and each rule is tried once at each place, so the
-  # work is bounded by the size of the grammar times the square of the words.
+  # Matches the words of a sentence against a grammar. For each position, it computes the positions where an expansion
+  # can end, with the tags up to there. If several derivations reach the same position, the first one counts. Each rule
+  # is tried once per position, so the work is bounded by the size of the grammar times the square of the words.
   alias Situ.Intent.{Jsgf, Number}
 
   @type tag :: {text :: String.t(), value :: String.t()}
 
-  @doc "The ends of a rule that begins at `from`, the farthest first: `{end, tags}`."
+  @doc "Returns the ends of a rule that starts at `from`, farthest first, as `{end, tags}`."
   @spec ends(Jsgf.t(), String.t(), tuple(), non_neg_integer()) :: [{non_neg_integer(), [tag()]}]
   def ends(%Jsgf{rules: rules}, rule, words, from) do
     {found, _} = ends({:rule, rule}, from, %{rules: rules, words: words, known: %{}})
@@ -17,7 +17,7 @@ defmodule Situ.Intent.Matcher do
     |> Enum.sort_by(&(-elem(&1, 0)))
   end
 
-  # Tags come last first.
+  # Tags are collected in reverse order.
   defp ends({:word, word}, at, state) do
     if at < tuple_size(state.words) and elem(state.words, at) == word,
       do: {[{at + 1, []}], state},
@@ -37,7 +37,7 @@ defmodule Situ.Intent.Matcher do
 
   defp ends({:rule, name}, at, state) do
     case state.known do
-      # Asked for again while it is being found: it would go in circles.
+      # A rule that is requested again while it is being computed is recursive; an empty result ends the recursion.
       %{{^name, ^at} => found} ->
         {found, state}
 
@@ -86,7 +86,7 @@ defmodule Situ.Intent.Matcher do
     {more |> Enum.concat() |> first_ways(), state}
   end
 
-  # Once more from each new end, until there is none.
+  # Repeats from each new end until no new ends are found.
   defp repeat(_part, all, [], state), do: {all, state}
 
   defp repeat(part, all, new, state) do

@@ -4,20 +4,20 @@ defmodule Situ.Intent.Model do
       type: {:list, {:struct, Situ.Chat.Tool}},
       required: true,
       doc:
-        "The possible intents: each a `Situ.Chat.Tool` without a function, its arguments are the entities."
+        "The possible intents: each is a `Situ.Chat.Tool` without a function, whose arguments are the entities."
     ]
   ]
   @schema @own ++ Situ.Chat.Service.schema()
 
   @moduledoc """
-  Intents by a language model: each intent is described as a tool, and the model calls the one that is meant.
+  Detects intents with a language model: each intent is described as a tool, and the model calls the matching tool.
 
       timer = %Situ.Chat.Tool{name: "timer", about: "Rings later.",
         arguments: %{type: "object", properties: %{minutes: %{type: "number"}}}}
       {:ok, model} = Situ.Intent.Model.load(intents: [timer], model: "llama3.2")
       {:ok, intent} = Situ.Intent.Model.detect(model, "wake me in five minutes")
 
-  Only names that were given become intents. Errors: those of `Situ.Chat`.
+  Only the given names can become intents. Errors: the errors of `Situ.Chat`.
 
   ## Options
 

@@ -1,6 +1,6 @@
 defmodule Situ.Intent.Number do
   @moduledoc """
-  English numbers from 0 to 999, in words or digits.
+  Parses and formats English numbers from 0 to 999, in words or digits.
 
       iex> Situ.Intent.Number.prefixes(["twenty", "five", "minutes"])
       [{2, 25}, {1, 20}]
@@ -13,7 +13,7 @@ defmodule Situ.Intent.Number do
   @units @small |> Enum.with_index() |> Map.new()
   @tens_of @tens |> Enum.with_index(2) |> Map.new(fn {word, n} -> {word, 10 * n} end)
 
-  @doc "How many words in front of the others are a number, and which: `{count, value}`, the longest first."
+  @doc "Returns the numbers at the start of a list of words as `{word count, value}`, longest first."
   @spec prefixes([String.t()]) :: [{pos_integer(), 0..999}]
   def prefixes(words) do
     for n <- 5..1//-1,
@@ -48,7 +48,7 @@ defmodule Situ.Intent.Number do
     end
   end
 
-  @doc "A number in words, for speaking."
+  @doc "Formats a number in words, for speech output."
   @spec words(0..999) :: String.t()
   def words(n) when n < 20, do: Enum.at(@small, n)
   def words(n) when n < 100 and rem(n, 10) == 0, do: Enum.at(@tens, div(n, 10) - 2)

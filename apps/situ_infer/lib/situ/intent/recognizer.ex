@@ -1,13 +1,13 @@
 defmodule Situ.Intent.Recognizer do
   @moduledoc """
-  A recognizer finds the intent in a text: the seam between `Situ.Intent.Detector` and a grammar, a language model, or
-  a module of your own with these callbacks.
+  Behaviour of recognizers, which detect the intent of a text for `Situ.Intent.Detector`. A grammar and a language model
+  are built in.
   """
 
-  @doc "Makes it ready; errors stop the pipeline before its first message."
+  @doc "Loads the recognizer. Errors stop the pipeline before its first message."
   @callback load(keyword()) :: {:ok, recognizer :: term()} | {:error, Situ.Error.t()}
 
-  @doc "The intents and entities of a text; without any when it knows none."
+  @doc "Returns the intents and entities of a text; both are empty if nothing matches."
   @callback detect(recognizer :: term(), String.t()) ::
               {:ok, Situ.Intent.t()} | {:error, Situ.Error.t()}
 end

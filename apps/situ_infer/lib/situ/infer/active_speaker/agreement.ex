@@ -1,7 +1,7 @@
 defmodule Situ.Infer.ActiveSpeaker.Agreement do
   @moduledoc false
-  # How well lips follow loudness: Pearson's correlation of opening and loudness over some moments, times how clearly
-  # the mouth moved at all. Pure arithmetic in a fixed order, so that results are equal to the last bit on every run.
+  # Scores how well lips follow loudness: Pearson's correlation of opening and loudness over a window, weighted by how
+  # clearly the mouth moved. The arithmetic is pure and in a fixed order, so that every run gives bit-identical results.
   alias Situ.Infer.ActiveSpeaker.Moment
 
   @min_pairs 4
@@ -9,14 +9,14 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
   @closed 0.3
   @closed_share 0.125
 
-  @doc "The face that agrees best, its score, and the scores of all; `{nil, 0.0, %{}}` without faces."
+  @doc "Returns the best-scoring face, its score, and all scores; `{nil, 0.0, %{}}` without faces."
   @spec best([Moment.t()], float()) :: {term(), float(), %{term() => float()}}
   def best([], _clear), do: {nil, 0.0, %{}}
 
   def best([newest | _] = window, clear) do
     scores = Map.new(newest.mouths, fn {id, _} -> {id, score(window, id, clear)} end)
 
-    # Ids are compared too, so that equal scores have one answer.
+    # Comparing ids as well makes the result unique when scores are equal.
     case Enum.sort_by(scores, fn {id, score} -> {-score, id} end) do
       [] -> {nil, 0.0, scores}
       [{id, score} | _] -> {id, score, scores}
@@ -36,8 +36,9 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
   end
 
   @doc """
-  Whether lips that clearly move contradict the voice: they agree less than `doubt` with it, and in an eighth of the
-  loud moments they are closed. (A mesh says little about how wide a wide mouth is, so that agreement alone is no sign.)
+  Returns whether lips that clearly move contradict the voice: their correlation with it is below `doubt`, and they are
+  closed in an eighth of the loud moments. (A low correlation alone proves little, because a mesh measures poorly how
+  wide a wide-open mouth is.)
   """
   @spec contradicts?([Moment.t()], term(), float(), float()) :: boolean()
   def contradicts?(window, id, clear, doubt) do
@@ -59,7 +60,7 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
     Enum.count(loud, &(&1 < closed)) / length(loud)
   end
 
-  @doc "Pearson's correlation, 0.0 where one side does not change."
+  @doc "Computes Pearson's correlation; returns 0.0 if one side is constant."
   @spec correlation([{float(), float()}]) :: float()
   def correlation(pairs) do
     n = length(pairs)

@@ -1,6 +1,6 @@
 defmodule Situ.Infer.ActiveSpeaker.Moment do
   @moduledoc false
-  # One picture's mouths and what was heard at its time.
+  # The mouths in one image, and the voice heard at its time.
   @enforce_keys [:time, :mouths, :probability, :loudness]
   defstruct [:time, :mouths, :probability, :loudness, voice?: false]
 

@@ -1,7 +1,8 @@
 defmodule Situ.Infer.Detection.Masks do
   @moduledoc """
-  The shapes of what was found: each box's numbers weigh the network's prototypes `{1, k, height, width}`, the sigmoid
-  of the sum above a half is the shape (Bolya et al., "YOLACT", 2019). The sums run in ONNX Runtime.
+  Computes the masks of detected objects. Each box's coefficients weight the network's prototypes
+  `{1, k, height, width}`, and the mask covers the pixels where the sigmoid of the sum is above one half (Bolya et al.,
+  "YOLACT", 2019). ONNX Runtime computes the sums.
   """
   alias Situ.{Error, Image, Tensor}
   alias Situ.Infer.{Model, Onnx}
@@ -15,7 +16,7 @@ defmodule Situ.Infer.Detection.Masks do
           size: {pos_integer(), pos_integer()}
         }
 
-  @doc "For an output of prototypes with this shape and type."
+  @doc "Builds the mask computation for a prototype output of this shape and type."
   @spec new(tuple(), Tensor.element_type()) :: {:ok, t()} | {:error, Error.t()}
   def new(shape, type \\ :f32)
 
@@ -50,14 +51,14 @@ defmodule Situ.Infer.Detection.Masks do
     {:error,
      Error.new(
        :model_shape,
-       "prototypes of masks have the shape {1, n, height, width}, not #{inspect(shape)}",
-       fix: "name the output that holds them by masks:"
+       "mask prototypes must have the shape {1, n, height, width}, not #{inspect(shape)}",
+       fix: "give the name of the prototype output as masks:"
      )}
   end
 
   @doc """
-  A `:gray8` picture for each box, 255 where it is: the part of the prototypes under the box, which the picture covers
-  whole. `side` is that of the network's input.
+  Returns a `:gray8` image for each box, 255 where the object is. It is the part of the prototypes under the box; the
+  prototypes cover the whole input image. `side` is the side of the network's input.
   """
   @spec cut(t(), [map()], Tensor.t(), pos_integer()) :: {:ok, [Image.t()]} | {:error, Error.t()}
   def cut(_masks, [], _prototypes, _side), do: {:ok, []}
@@ -82,7 +83,7 @@ defmodule Situ.Infer.Detection.Masks do
     Image.new!(width: x1 - x0, height: y1 - y0, format: :gray8, data: rows)
   end
 
-  # One pixel at least, all of them in the picture.
+  # The range has at least one pixel, and all of its pixels are within the image.
   defp within(from, length, scale, most) do
     low = from |> Kernel.*(scale) |> floor() |> max(0) |> min(most - 1)
     high = (from + length) |> Kernel.*(scale) |> ceil() |> max(low + 1) |> min(most)

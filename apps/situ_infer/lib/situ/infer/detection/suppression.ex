@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Detection.Suppression do
   @moduledoc """
-  Non-maximum suppression: of boxes that overlap, the likeliest stays. Pure.
+  Non-maximum suppression: of overlapping boxes, only the most likely one is kept. Pure.
 
       iex> box = fn x, score -> %{x: x, y: 0.0, width: 10.0, height: 10.0, class: 0, score: score} end
       iex> kept = Situ.Infer.Detection.Suppression.suppress([box.(0.0, 0.6), box.(1.0, 0.9), box.(20.0, 0.5)], 0.5)
@@ -9,8 +9,8 @@ defmodule Situ.Infer.Detection.Suppression do
   """
 
   @doc """
-  Boxes by score, each without overlap (intersection over union) of more than `limit` with a better one of its class,
-  or of any class with `any_class: true`; `most:` of them.
+  Returns the boxes by score. A box is dropped if it overlaps a better box of its class (or of any class, with
+  `any_class: true`) by more than `limit` (intersection over union). At most `most:` boxes are returned.
   """
   @spec suppress([box], float(), keyword()) :: [box] when box: map()
   def suppress(boxes, limit, opts \\ []) do
@@ -30,7 +30,7 @@ defmodule Situ.Infer.Detection.Suppression do
     keep(rest, [best | kept], n + 1, limit, any?, most)
   end
 
-  @doc "Intersection over union, 0..1."
+  @doc "Computes the intersection over union, 0..1."
   @spec overlap(map(), map()) :: float()
   def overlap(a, b) do
     w = min(a.x + a.width, b.x + b.width) - max(a.x, b.x)

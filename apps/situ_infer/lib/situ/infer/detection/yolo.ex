@@ -1,15 +1,15 @@
 defmodule Situ.Infer.Detection.Yolo do
   @moduledoc """
-  What YOLO networks say, as boxes in pixels of the network's input. Pure.
+  Converts the outputs of YOLO networks to boxes in pixels of the network's input. Pure.
 
   | version | output | a box | score |
   |---|---|---|---|
   | `:v2_tiny` | `{1, 125, 13, 13}` | an anchor moved and stretched in a cell of 32 pixels (VOC's 20 classes) | object x softmax of classes |
   | `:v5` (v7) | `{1, n, 5 + classes}` | middle and size | object x class |
   | `:v8` (v9, v11) | `{1, 4 + classes (+ masks), n}` | middle and size | class |
-  | `:v10` | `{1, n, 6}` | two corners, score, class; nothing overlaps | as given |
+  | `:v10` | `{1, n, 6}` | two corners, score, class; already without overlaps | as given |
 
-  Formulas: Redmon and Farhadi, "YOLO9000" (2017), for v2; the exporters' documentation for the others.
+  Formulas: Redmon and Farhadi, "YOLO9000" (2017), for v2; the exporters' documentation for the other versions.
 
       iex> row = [50.0, 40.0, 20.0, 10.0, 0.9, 0.1, 0.8]
       iex> boxes = Situ.Infer.Detection.Yolo.parse(Situ.Tensor.from_list(row, :f32, {1, 1, 7}), :v5, 0.5)
@@ -33,11 +33,11 @@ defmodule Situ.Infer.Detection.Yolo do
           mask: [float()]
         }
 
-  @doc "The versions that are known."
+  @doc "Returns the supported versions."
   @spec versions() :: [version()]
   def versions, do: [:v2_tiny, :v5, :v8, :v10]
 
-  @doc "Whether an output of this shape can be that version's; `masks` numbers for masks are among a v8's."
+  @doc "Returns whether an output's shape fits that version; a v8 output has `masks` mask coefficients per box."
   @spec fits?(version(), tuple(), non_neg_integer()) :: boolean()
   def fits?(version, shape, masks \\ 0)
   def fits?(:v2_tiny, {_, 125, h, w}, _), do: h in [-1, 13] and w in [-1, 13]
@@ -47,8 +47,8 @@ defmodule Situ.Infer.Detection.Yolo do
   def fits?(_version, _shape, _masks), do: false
 
   @doc """
-  The boxes with a score of `min_score` or more, in no order; `masks` as for `fits?/3`. Boxes that are no numbers, or
-  have no size, are left out.
+  Returns the boxes with a score of at least `min_score`, in no particular order; for `masks`, see `fits?/3`. Boxes that
+  have no size or contain values that are not numbers are left out.
   """
   @spec parse(Tensor.t(), version(), float(), non_neg_integer()) :: [box()]
   def parse(tensor, version, min_score, masks \\ 0)
@@ -76,7 +76,7 @@ defmodule Situ.Infer.Detection.Yolo do
         do: box(x1, y1, x2 - x1, y2 - y1, round(class), score)
   end
 
-  # A column for each box, so a row for each class: few numbers of it count.
+  # Each box is a column and each class is a row, so that a scan over rows touches few numbers.
   def parse(%Tensor{type: :f32, shape: {1, rows, n}, data: data}, :v8, min_score, masks) do
     classes = rows - 4 - masks
 
@@ -109,7 +109,7 @@ defmodule Situ.Infer.Detection.Yolo do
   defp box(x, y, w, h, class, score, mask \\ []),
     do: %{x: x, y: y, width: w, height: h, class: class, score: score, mask: mask}
 
-  # A pattern that matches numbers skips what is none.
+  # The float pattern does not match NaN and infinity, so the next clause skips them.
   defp best(<<p::float-native-32, rest::binary>>, i, {_, most}) when p > most,
     do: best(rest, i + 1, {i, p})
 

@@ -1,10 +1,11 @@
 defmodule Situ.Infer.Engine.Ort do
   @moduledoc """
-  ONNX Runtime, opened at run time.
+  The ONNX Runtime engine. The library is loaded at run time.
 
-  The shared library is looked for at `SITU_ONNXRUNTIME` (a file), then at `priv/onnxruntime/libonnxruntime.so` of this
-  app, where `bin/setup` puts it. Without it everything that needs a model answers `:no_onnxruntime` with the mend, and
-  works as soon as the library is there: a failed attempt is not remembered.
+  The path of the shared library is `SITU_ONNXRUNTIME` if that is set, and otherwise
+  `priv/onnxruntime/libonnxruntime.so` of this app, where `bin/setup` installs it. Without the library, everything that
+  needs a model returns `:no_onnxruntime` with the fix. A failed attempt is not remembered, so models work as soon as
+  the library is installed.
 
       {:ok, version} = Situ.Infer.Engine.Ort.version()
   """
@@ -18,18 +19,18 @@ defmodule Situ.Infer.Engine.Ort do
            &{Atom.to_string(&1), &1}
          )
 
-  @doc "Where the library is looked for."
+  @doc "Returns the path where the library is expected."
   @spec library_path() :: Path.t()
   def library_path do
     System.get_env("SITU_ONNXRUNTIME") ||
       Path.join(to_string(:code.priv_dir(:situ_infer)), "onnxruntime/libonnxruntime.so")
   end
 
-  @doc "Whether the library is open or can be opened."
+  @doc "Returns whether the library is loaded or can be loaded."
   @spec available?() :: boolean()
   def available?, do: open() == :ok
 
-  @doc "The library's build line."
+  @doc "Returns the library's build string."
   @spec version() :: {:ok, String.t()} | {:error, Error.t()}
   def version do
     with :ok <- open(), do: {:ok, Native.runtime_version()}
@@ -64,7 +65,7 @@ defmodule Situ.Infer.Engine.Ort do
     end
   end
 
-  # A second caller must not wait on a normal scheduler: it takes a dirty one and waits there.
+  # A second caller must not block a normal scheduler, so it waits on a dirty one.
   defp call(:dirty, handle, rows), do: Native.run_dirty(handle, rows)
 
   defp call(:inline, handle, rows) do
@@ -90,7 +91,7 @@ defmodule Situ.Infer.Engine.Ort do
 
   defp missing(path) do
     Error.new(:no_onnxruntime, "ONNX Runtime is not installed: no file #{path}",
-      why: "models run in ONNX Runtime, which is opened when the first model loads",
+      why: "models run in ONNX Runtime, which is loaded together with the first model",
       fix:
         "run bin/setup, or set SITU_ONNXRUNTIME to a libonnxruntime.so of version 1.24 or newer"
     )
@@ -98,22 +99,24 @@ defmodule Situ.Infer.Engine.Ort do
 
   defp error(:library, text) do
     Error.new(:no_onnxruntime, "ONNX Runtime cannot be opened: #{text}",
-      why: "the file is no ONNX Runtime library for this machine, or older than 1.24",
+      why: "the file is not an ONNX Runtime library for this machine, or it is older than 1.24",
       fix: "run bin/setup again, or set SITU_ONNXRUNTIME to a working libonnxruntime.so"
     )
   end
 
   defp error(:model, "External data" <> _ = text) do
     Error.new(:bad_model, "the model's weights cannot be read: #{text}",
-      why: "the model file names another file that holds its weights (ONNX's external data)",
-      fix: "put that file next to the model file, under the name that it has in the model"
+      why:
+        "the model file refers to another file that contains its weights (ONNX's external data)",
+      fix: "put that file next to the model file, under the name that the model uses"
     )
   end
 
   defp error(:model, text) do
     Error.new(:bad_model, "not a usable ONNX model: #{text}",
-      why: "the file is cut short, damaged, or needs operators this ONNX Runtime does not have",
-      fix: "fetch the model file again"
+      why:
+        "the file is truncated or corrupt, or needs operators that this ONNX Runtime does not have",
+      fix: "download the model file again"
     )
   end
 
@@ -128,7 +131,8 @@ defmodule Situ.Infer.Engine.Ort do
   defp error(:run, text) do
     Error.new(:model_failed, "the model failed: #{text}",
       why: "ONNX Runtime stopped in the middle of a run",
-      fix: "look at the inputs' sizes and values; if they are right, the model file is not"
+      fix:
+        "check the sizes and values of the inputs; if they are correct, the model file is faulty"
     )
   end
 

@@ -1,10 +1,10 @@
 defmodule Situ.Infer.Face.Blaze do
   @moduledoc false
-  # BlazeFace short range: what goes into the network and what its 896 anchors mean. Pure: no model, no picture.
+  # BlazeFace short range: the input of the network and the meaning of its 896 anchors. Pure: no model and no image.
   #
-  # Anchors are the cells of a 16x16 grid, twice, then of an 8x8 grid, six times; each is just a centre. The network
-  # answers, per anchor, 16 offsets in pixels of its 128-pixel input (centre, size, six key points) and a score before
-  # the sigmoid.
+  # Anchors are the cells of a 16x16 grid, twice, and then of an 8x8 grid, six times; each is just a centre. For each
+  # anchor the network returns 16 offsets in pixels of its 128-pixel input (centre, size, six key points) and a score
+  # before the sigmoid.
   alias Situ.Infer.{Face, Patch}
   alias Situ.Tensor
 
@@ -20,7 +20,7 @@ defmodule Situ.Infer.Face.Blaze do
   @spec size() :: pos_integer()
   def size, do: @size
 
-  @doc "Inputs and outputs the model file must have."
+  @doc "Returns the inputs and outputs that the model file must have."
   def ports do
     [
       inputs: %{"input" => {:f32, {1, @size, @size, 3}}},
@@ -31,7 +31,7 @@ defmodule Situ.Infer.Face.Blaze do
     ]
   end
 
-  @doc "Faces the network found in `patch`, in picture pixels, best first, before any merging."
+  @doc "Returns the faces that the network found in `patch`, in image pixels, best first, before any merging."
   @spec decode(%{String.t() => Tensor.t()}, Patch.t(), float()) :: [Face.t()]
   def decode(%{"regressors" => boxes, "classificators" => scores}, patch, min_score) do
     logit = logit(min_score)
@@ -41,7 +41,7 @@ defmodule Situ.Infer.Face.Blaze do
     |> Enum.map(fn {index, score} -> face(boxes.data, index, sigmoid(score), patch) end)
   end
 
-  # Scores that are no finite number are no faces.
+  # Scores that are not finite numbers do not count as faces.
   defp candidates(<<score::float-native-32, rest::binary>>, min, i, found) when score > min,
     do: candidates(rest, min, i + 1, [{i, score} | found])
 
@@ -77,7 +77,7 @@ defmodule Situ.Infer.Face.Blaze do
     }
   end
 
-  # Offsets measure areas, patches map pixel centres: half a pixel lies between the two on either side.
+  # Offsets measure areas and patches map pixel centres, so the two differ by half a pixel on either side.
   defp place(patch, x, y) do
     {px, py} = Patch.to_picture(patch, {x - 0.5, y - 0.5})
     {px + 0.5, py + 0.5}

@@ -1,9 +1,9 @@
 defmodule Situ.Infer.Face.Overlap do
   @moduledoc false
-  # Non-maximum suppression: of faces that overlap, the first one stays.
+  # Non-maximum suppression: of faces that overlap, the first one is kept.
   alias Situ.Rect
 
-  @doc "Keeps each face that overlaps no kept one by `limit` (intersection over union) or more; order is rank."
+  @doc "Keeps the faces that do not overlap an earlier kept face by `limit` (intersection over union) or more."
   @spec suppress([Situ.Infer.Face.t()], float()) :: [Situ.Infer.Face.t()]
   def suppress(faces, limit) do
     faces
@@ -13,7 +13,9 @@ defmodule Situ.Infer.Face.Overlap do
     |> Enum.reverse()
   end
 
-  @doc "Whether `face` overlaps none of `others`. A face inside another one is the same face seen at another scale."
+  @doc """
+  Returns whether `face` overlaps none of `others`. A face inside another one counts as the same face at another scale.
+  """
   @spec free?(Situ.Infer.Face.t(), [Situ.Infer.Face.t()], float()) :: boolean()
   def free?(face, others, limit) do
     Enum.all?(others, fn other ->
@@ -21,7 +23,7 @@ defmodule Situ.Infer.Face.Overlap do
     end)
   end
 
-  # The share of the smaller rectangle that lies in the other one.
+  # Returns the share of the smaller rectangle that the other one covers.
   defp cover(a, b) do
     smaller = min(Rect.area(a), Rect.area(b))
 

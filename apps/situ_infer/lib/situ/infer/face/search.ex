@@ -1,29 +1,29 @@
 defmodule Situ.Infer.Face.Search do
   @moduledoc false
-  # Where to look for faces in the next picture. BlazeFace sees its whole input as 128 pixels: it misses faces under
-  # about a sixth of it, and boxes of small ones are rough. So a picture is looked at whole; then closely wherever
-  # there is a face that is not large; then, a few tiles a picture in turn, everywhere else. The first picture is
-  # looked at in full. While the faces rest, they are looked for only now and then, and the pictures between are used
-  # for tiles. Pure: looking is the caller's function.
+  # Chooses where to search for faces in the next image. BlazeFace sees its whole input as 128 pixels, so it misses
+  # faces smaller than about a sixth of it, and its boxes of small faces are rough. The search therefore covers the
+  # whole image, then a close-up of each face that is not large, and then a few tiles per image in rotation. The first
+  # image is searched completely. While the faces rest, they are searched for only occasionally, and the images in
+  # between are used for tiles. Pure: the caller passes the function that runs the detector.
   alias Situ.Infer.Face
   alias Situ.Infer.Face.{Blaze, Overlap}
   alias Situ.Infer.Patch
   alias Situ.Rect
 
-  # A face this share of the picture's longer side or more is seen well enough in the whole picture.
+  # A face of at least this share of the image's longer side is detected well enough in the whole image.
   @large 1 / 4
-  # A face searched closely fills a third of what the network sees: the middle of what it was trained on.
+  # In a close-up the face fills a third of the network's input, the middle of its training range.
   @close_up 3.0
   @same 0.3
-  # By so much of a view's side its face may be off the middle.
+  # A face may be off the middle of its view by this share of the view's side.
   @rest 0.07
-  # A face whose box is this much the same as before rests.
+  # A face rests if its box overlaps its previous box by at least this much.
   @still 0.9
-  # Within a face as sure as this no other is looked for.
+  # No other face is searched for within a face with at least this score.
   @sure 0.8
-  # In so many pictures the tiles are to cover everything once.
+  # The tiles must cover everything once in this many images.
   @round 50
-  # Tiles a quarter as large as the picture's shorter side, for faces of 40 pixels, where that is at least this long.
+  # Tiles of a quarter of the image's shorter side, for faces of 40 pixels, are used if that side is at least this long.
   @fine 720
 
   @enforce_keys [:min_score, :tile_score, :tiles_per_picture, :every]
@@ -54,7 +54,7 @@ defmodule Situ.Infer.Face.Search do
     }
   end
 
-  @doc "The faces in the next picture, of `size` `{width, height}`, shown at `time`."
+  @doc "Finds the faces in the next image, of `size` `{width, height}`, taken at `time`."
   @spec step(t(), {pos_integer(), pos_integer()}, Situ.Time.t(), look()) ::
           {:ok, [Face.t()], t()} | {:error, Situ.Error.t()}
   def step(%__MODULE__{} = search, size, time, look) do
@@ -81,7 +81,7 @@ defmodule Situ.Infer.Face.Search do
     look_for_all(search, time, now, look)
   end
 
-  # The faces are where they were.
+  # The known faces are at rest, so only the next tiles are searched.
   defp look_between(search, look) do
     {now, search} = turn(search)
 
@@ -111,7 +111,7 @@ defmodule Situ.Infer.Face.Search do
       Enum.all?(faces, fn face -> Enum.any?(before, &(Rect.iou(&1.rect, face.rect) >= @still)) end)
   end
 
-  # Faces to look at closely: those of the picture before, and new ones.
+  # Returns the faces that need a close-up: faces of the previous image that are not among the large ones, and new ones.
   defp distant(before, large, small) do
     lost = Enum.filter(before, &Overlap.free?(&1, large, @same))
     lost ++ Enum.filter(small, &Overlap.free?(&1, lost, @same))
@@ -124,13 +124,13 @@ defmodule Situ.Infer.Face.Search do
          do: confirm(tiled, sure, search.tile_score, look)
   end
 
-  # A group of people may look like one large face, but never as much as each of them does.
+  # A group of people can be mistaken for one large face, but it scores less than each of its members.
   defp merge(known, []), do: known
 
   defp merge(known, new),
     do: (known ++ new) |> Enum.sort_by(&(-&1.rect.score)) |> Overlap.suppress(@same)
 
-  # A tile cuts through things that then look like faces: what is found in one must look like one from close by, too.
+  # A tile can cut an object so that it resembles a face, so a face found in a tile must also be found in a close-up.
   defp confirm(tiled, known, min_score, look) do
     tiled
     |> Enum.filter(&Overlap.free?(&1, known, @same))
@@ -139,8 +139,8 @@ defmodule Situ.Infer.Face.Search do
     |> look_all(&close_up(&1, view(&1, []), min_score, look))
   end
 
-  # The best view of a face near where it was; another face in the same view is left to its own. A face much smaller
-  # than thought is looked at once more, from as near as it should be.
+  # Searches a view near the face's last position, ignoring other faces in the view. A face much smaller than expected
+  # is searched once more, in a correspondingly smaller view.
   defp close_up(face, {_, side} = view, min_score, look) do
     with {:ok, [found]} <- look_near(face, view, min_score, look),
          {_, wanted} = nearer = view(found, []),
@@ -158,8 +158,8 @@ defmodule Situ.Infer.Face.Search do
     end
   end
 
-  # A view stays where it is while the face in it rests: moved with every wobble of the face, it would make it wobble
-  # more.
+  # A view does not move while the face in it rests. If it followed every wobble of the face, it would amplify the
+  # wobble.
   defp view(face, views) do
     side = max(face.rect.width, face.rect.height) * @close_up
     middle = Situ.Rect.center(face.rect)
@@ -188,7 +188,7 @@ defmodule Situ.Infer.Face.Search do
     {now, %{search | turn: later}}
   end
 
-  @doc "The whole picture in the middle of a square, black around it."
+  @doc "Returns the patch with the whole image in the middle of a square, with black around it."
   @spec whole({pos_integer(), pos_integer()}) :: Patch.t()
   def whole({w, h}) do
     k = max(w, h)
@@ -196,8 +196,8 @@ defmodule Situ.Infer.Face.Search do
   end
 
   @doc """
-  Half-overlapping squares over the picture, as large as its shorter side and half that; in large pictures a quarter,
-  too.
+  Returns half-overlapping squares over the image, with the image's shorter side and half of it; in large images also
+  with a quarter of it.
   """
   @spec tiles({pos_integer(), pos_integer()}) :: [Patch.t()]
   def tiles({w, h}) do
@@ -213,7 +213,7 @@ defmodule Situ.Infer.Face.Search do
         do: Patch.square({x * 1.0, y * 1.0}, side * 1.0, Blaze.size())
   end
 
-  # From 0 to the last place that still fits, in steps of at most half a side.
+  # Returns offsets from 0 to the last that fits, in steps of at most half a side.
   defp starts(length, side) when length <= side, do: [0]
 
   defp starts(length, side) do

@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Http.Decoder do
   @moduledoc false
-  # The bytes of an HTTP/1.1 response, cut anywhere, as events. RFC 9112. The length of a head or a chunk's line is
-  # bounded; nothing makes an atom.
+  # Decodes the bytes of an HTTP/1.1 response (RFC 9112), split at arbitrary positions, into events. The lengths of the
+  # head and of a chunk's size line are limited, and no input creates an atom.
   import Situ.Bits, only: [known: 1]
 
   @head_bytes 65_536
@@ -15,12 +15,12 @@ defmodule Situ.Infer.Http.Decoder do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "The events that the bytes complete; `:done` when the response is complete."
+  @doc "Decodes the bytes and returns the completed events, with `:done` at the end of the response."
   @spec push(t(), binary()) :: {:ok, [event()], t()} | {:error, String.t()}
   def push(%__MODULE__{} = decoder, bytes),
     do: step(%{decoder | buffer: decoder.buffer <> bytes}, [])
 
-  @doc "The other side has closed: whether that ends the response."
+  @doc "Checks whether the response is complete when the server closes the connection."
   @spec close(t()) :: :ok | {:error, :cut_off}
   def close(%__MODULE__{state: state}) when state in [:until_close, :done], do: :ok
   def close(_decoder), do: {:error, :cut_off}
@@ -32,7 +32,7 @@ defmodule Situ.Infer.Http.Decoder do
       {:more, _} when d.head + byte_size(buffer) > @head_bytes -> too_long()
       {:more, _} -> {:ok, Enum.reverse(events), d}
       {:ok, packet, rest} -> head(packet, taken(d, rest), events)
-      {:error, _} -> {:error, "its head cannot be read"}
+      {:error, _} -> {:error, "its head is malformed"}
     end
   end
 
@@ -56,7 +56,7 @@ defmodule Situ.Infer.Http.Decoder do
   defp step(%{state: line} = d, events) when line in [:size, :gap, :trailer] do
     case :binary.split(d.buffer, "\n") do
       [text, rest] -> line(line, String.trim_trailing(text, "\r"), %{d | buffer: rest}, events)
-      [text] when byte_size(text) > @line_bytes -> {:error, "a line of it has no end"}
+      [text] when byte_size(text) > @line_bytes -> {:error, "one of its lines is too long"}
       _ -> {:ok, Enum.reverse(events), d}
     end
   end
@@ -75,7 +75,7 @@ defmodule Situ.Infer.Http.Decoder do
       else: step(%{d | headers: [{String.downcase(to_string(name)), value} | d.headers]}, events)
   end
 
-  # An answer before the answer.
+  # A 1xx response precedes the final response.
   defp head(:http_eoh, %{status: status} = d, events) when status in 100..199,
     do: step(%{d | state: :status}, events)
 
@@ -94,7 +94,7 @@ defmodule Situ.Infer.Http.Decoder do
     end
   end
 
-  defp head(_other, _d, _events), do: {:error, "its head is no HTTP"}
+  defp head(_other, _d, _events), do: {:error, "its head is not HTTP"}
 
   defp body(status, _headers) when status in [204, 304], do: :done
 
@@ -104,7 +104,7 @@ defmodule Situ.Infer.Http.Decoder do
 
     cond do
       coding == "chunked" -> :size
-      coding not in ["", "identity"] -> {:error, "it is coded as #{inspect(coding)}"}
+      coding not in ["", "identity"] -> {:error, "its transfer encoding is #{inspect(coding)}"}
       length == nil -> :until_close
       length == "0" -> :done
       length =~ ~r/\A[0-9]{1,15}\z/ -> {:length, String.to_integer(length)}
@@ -122,12 +122,12 @@ defmodule Situ.Infer.Http.Decoder do
   defp line(:size, text, d, events) do
     case Regex.run(~r/\A([0-9a-fA-F]{1,8})[ \t]*(;.*)?\z/, text) do
       [_, hex | _] -> size(String.to_integer(hex, 16), d, events)
-      nil -> {:error, "a chunk of it has no size"}
+      nil -> {:error, "one of its chunks has no size"}
     end
   end
 
   defp line(:gap, "", d, events), do: step(%{d | state: :size}, events)
-  defp line(:gap, _text, _d, _events), do: {:error, "a chunk of it is longer than announced"}
+  defp line(:gap, _text, _d, _events), do: {:error, "one of its chunks is longer than announced"}
   defp line(:trailer, "", d, events), do: step(%{d | state: :done}, [:done | events])
 
   defp line(:trailer, text, d, events) do

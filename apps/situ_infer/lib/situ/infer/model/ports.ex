@@ -1,11 +1,11 @@
 defmodule Situ.Infer.Model.Ports do
   @moduledoc false
-  # The inputs and outputs that a model has, beside those that it should have. Pure.
+  # Compares the inputs and outputs of a model with the expected ones. Pure.
   alias Situ.Error
 
   @type ports :: %{String.t() => {atom(), tuple()}}
 
-  @doc "No text, sequences or maps, as networks of classical learning take them."
+  @doc "Checks that no input takes text, sequences or maps, as models of classical machine learning do."
   @spec numbers(ports(), Path.t()) :: :ok | {:error, Error.t()}
   def numbers(inputs, path) do
     case for {name, {:unsupported, _}} <- inputs, do: inspect(name) do
@@ -16,14 +16,14 @@ defmodule Situ.Infer.Model.Ports do
         {:error,
          Error.new(
            :bad_model,
-           "input #{Enum.join(names, ", ")} of the model takes no tensor of numbers (#{path})",
-           why: "text, sequences and maps are not supported",
+           "input #{Enum.join(names, ", ")} of the model does not take a tensor of numbers (#{path})",
+           why: "inputs of text, sequences and maps are not supported",
            fix: "export the model without them (skl2onnx: zipmap=False, numeric inputs)"
          )}
     end
   end
 
-  @doc "Whether a model has what is wanted; `what` is \"input\" or \"output\"."
+  @doc "Checks that a model has the expected ports; `what` is \"input\" or \"output\"."
   @spec check(ports(), map(), String.t(), Path.t()) :: :ok | {:error, Error.t()}
   def check(has, wanted, what, path) do
     Enum.find_value(wanted, :ok, fn {name, {type, shape}} ->
@@ -50,16 +50,16 @@ defmodule Situ.Infer.Model.Ports do
     {:error,
      Error.new(
        :model_shape,
-       "#{what} #{inspect(name)} is #{show(have)}, wanted #{show(wanted)} (#{path})",
+       "#{what} #{inspect(name)} is #{show(have)}, expected #{show(wanted)} (#{path})",
        fix: "use the model file this component is made for"
      )}
   end
 
-  @doc "A type and shape, for people."
+  @doc "Formats a type and shape for people."
   @spec show({atom(), tuple()}) :: String.t()
   def show({type, shape}), do: "#{type} #{inspect(shape)}"
 
-  @doc "Whether a shape is what is wanted: a free dimension is -1 in the file and nil in what is asked for."
+  @doc "Returns whether a shape matches the expected one. A free dimension is -1 in the file, and nil in `wanted`."
   @spec fits?(tuple(), tuple()) :: boolean()
   def fits?(have, wanted) do
     tuple_size(have) == tuple_size(wanted) and

@@ -8,30 +8,30 @@ defmodule Situ.Infer.Speech.Azure do
     url: [
       type: {:optional, :string},
       default: nil,
-      doc: "Where the service is when that is no region: a container of your own."
+      doc: "The URL of the service if it has no region, such as a self-hosted container."
     ],
     key: [
       type: {:optional, :string},
       default: "AZURE_SPEECH_KEY",
-      doc: "The **name** of the environment variable that holds the key; `nil`: none is sent."
+      doc: "The **name** of the environment variable with the key; `nil` sends no key."
     ],
-    language: [type: :string, default: "en-US", doc: "The language spoken."],
-    voice: [type: :string, default: "en-US-JennyNeural", doc: "Whose voice."],
-    ssml: [type: :boolean, default: false, doc: "Texts to be spoken are whole SSML documents."]
+    language: [type: :string, default: "en-US", doc: "The spoken language."],
+    voice: [type: :string, default: "en-US-JennyNeural", doc: "The voice."],
+    ssml: [type: :boolean, default: false, doc: "Texts are complete SSML documents."]
   ]
   @schema @own ++ Keyword.delete(Situ.Infer.Service.schema(), :key)
 
   @moduledoc """
-  Speech to text and text to speech by Azure's speech service: its requests for short audio (up to 60 s) and for
-  synthesis.
+  Speech to text and text to speech with Azure's speech service. It uses the requests for short audio (up to 60 s) and
+  for synthesis.
 
       azure = [recognizer: Situ.Infer.Speech.Azure, recognizer_options: [region: "westeurope"], partial: nil]
       Situ.Infer.transcribe(sound, azure)
 
   Text to speech is `Situ.Infer.Speech.Azure.Voice`, with the same options.
 
-  Results have alternatives, confidence, and words with times. Each result while somebody speaks is a request of its
-  own: `partial: nil` has none.
+  Results have alternatives, confidence, and words with times. Each partial result is a separate request; `partial: nil`
+  disables partial results.
 
   ## Options
 
@@ -39,7 +39,7 @@ defmodule Situ.Infer.Speech.Azure do
 
   ## Errors
 
-  Those of `Situ.Infer.Service`, `:bad_answer`, `:too_long`.
+  The errors of `Situ.Infer.Service`, `:bad_answer`, `:too_long`.
   """
   @behaviour Situ.Infer.Speech.Recognizer
 
@@ -49,7 +49,7 @@ defmodule Situ.Infer.Speech.Azure do
 
   @key_header "ocp-apim-subscription-key"
   @longest 60_000_000_000
-  # Times of the service are in units of 100 ns.
+  # The service reports times in units of 100 ns.
   @tick 100
 
   @enforce_keys [:recognizer, :synthesizer, :opts]
@@ -70,7 +70,7 @@ defmodule Situ.Infer.Speech.Azure do
   end
 
   defp urls(nil, nil),
-    do: {:error, Error.new(:bad_option, "neither region: nor url: is given", fix: "give one")}
+    do: {:error, Error.new(:bad_option, "neither region: nor url: is given", fix: "set either")}
 
   defp urls(nil, url), do: {:ok, url, url}
 
@@ -81,7 +81,7 @@ defmodule Situ.Infer.Speech.Azure do
          "https://#{region}.tts.speech.microsoft.com"},
       else:
         {:error,
-         Error.new(:bad_option, "#{inspect(region)} is no region", fix: "such as \"westeurope\"")}
+         Error.new(:bad_option, "invalid region #{inspect(region)}", fix: "try \"westeurope\"")}
   end
 
   @impl true
@@ -108,7 +108,7 @@ defmodule Situ.Infer.Speech.Azure do
   defp short(sound) do
     if AudioBuffer.duration(sound) <= @longest,
       do: :ok,
-      else: {:error, Error.new(:too_long, "more than 60 s of sound", fix: "cut it in a pause")}
+      else: {:error, Error.new(:too_long, "the audio exceeds 60 s", fix: "split it at a pause")}
   end
 
   defp result({:ok, %{"RecognitionStatus" => "Success", "NBest" => [best | others]}}) do
@@ -122,7 +122,7 @@ defmodule Situ.Infer.Speech.Azure do
     end
   end
 
-  # Nobody said anything that it understands.
+  # The service recognized no speech.
   defp result({:ok, %{"RecognitionStatus" => status}})
        when status in ["NoMatch", "InitialSilenceTimeout", "BabbleTimeout", "Success"],
        do: {:ok, %{text: "", confidence: 0.0, words: [], alternatives: []}}
@@ -132,7 +132,7 @@ defmodule Situ.Infer.Speech.Azure do
       {:error,
        Error.new(
          :service_failed,
-         "the service could not recognise it: #{String.slice(status, 0, 40)}"
+         "the service could not recognize the speech: #{String.slice(status, 0, 40)}"
        )}
 
   defp result(_), do: {:error, Upload.bad_answer()}

@@ -1,27 +1,27 @@
 defmodule Situ.Infer.Speech.Espeak do
   @schema [
-    voice: [type: :string, default: "en-us", doc: "A voice of `espeak-ng --voices`."],
-    rate: [type: {:range, 80, 450}, default: 160, doc: "Words a minute."],
-    pitch: [type: {:range, 0, 99}, default: 50, doc: "How high."],
+    voice: [type: :string, default: "en-us", doc: "A voice listed by `espeak-ng --voices`."],
+    rate: [type: {:range, 80, 450}, default: 160, doc: "The speed in words per minute."],
+    pitch: [type: {:range, 0, 99}, default: 50, doc: "The pitch."],
     ssml: [
       type: :boolean,
       default: false,
       doc:
-        "The text is SSML: `<break>`, `<emphasis>`, `<mark>`, `<prosody>`, `<say-as>`, `<voice>` ...; tags that are " <>
-          "not known or not closed are left out, and so is `<audio>`, which would play any file of this machine."
+        "The text is SSML: `<break>`, `<emphasis>`, `<mark>`, `<prosody>`, `<say-as>`, `<voice>` ...; unknown and " <>
+          "unclosed tags are removed, as is `<audio>`, which could play any file of this machine."
     ]
   ]
 
   @moduledoc """
-  Text to speech by the program espeak-ng: more than a hundred languages, 50 times faster than speech, and it sounds
-  like a robot.
+  Text to speech with the program espeak-ng. It supports more than a hundred languages, runs 50 times faster than real
+  time, and sounds robotic.
 
       {:ok, voice} = Situ.Infer.Speech.Espeak.load(rate: 180)
       {:ok, sound} = Situ.Infer.Speech.Espeak.speak(voice, "Go forward ten metres.")
       {:ok, sound, marks} = Situ.Infer.Speech.Espeak.speak_marked(voice, "Go forward ten metres.")
 
-  Marks (`Situ.Infer.Speech.Mark`) are sentences, words, sounds and, with `ssml: true`, the text's own marks. They come
-  from espeak-ng's library, which a small program of Situ runs (`apps/situ_infer/native/situ_speak`).
+  Marks (`Situ.Infer.Speech.Mark`) are sentences, words, phonemes and, with `ssml: true`, the text's own marks. They are
+  produced by espeak-ng's library, which runs in a small separate program (`apps/situ_infer/native/situ_speak`).
 
   ## Options
 
@@ -29,7 +29,7 @@ defmodule Situ.Infer.Speech.Espeak do
 
   ## Errors
 
-  `:no_espeak` (not installed), `:bad_voice` (it does not know the voice), `:bad_text`, `:synthesis_failed`.
+  `:no_espeak` (not installed), `:bad_voice` (unknown voice), `:bad_text`, `:synthesis_failed`.
   """
   @behaviour Situ.Infer.Speech.Synthesizer
 
@@ -38,9 +38,9 @@ defmodule Situ.Infer.Speech.Espeak do
   alias Situ.Infer.Speech.Mark
   alias Situ.Media.Wav.Format
 
-  # An argument of a program may be no longer than 128 KiB.
+  # Linux limits a program argument to 128 KiB.
   @longest 100_000
-  # Nothing it is asked takes so long.
+  # No valid text takes this long.
   @seconds 60
 
   @enforce_keys [:program, :arguments, :marker]
@@ -59,7 +59,8 @@ defmodule Situ.Infer.Speech.Espeak do
 
       marker = [opts[:voice], rate, pitch, if(opts[:ssml], do: "ssml", else: "text")]
       voice = %__MODULE__{program: program, arguments: arguments, marker: marker}
-      # An unknown voice shows at once, not with the first sentence.
+
+      # Speaks once so that an unknown voice is reported by `load/1` and not by the first sentence.
       with {:ok, _} <- speak(voice, "a"), do: {:ok, voice}
     end
   end
@@ -69,7 +70,7 @@ defmodule Situ.Infer.Speech.Espeak do
       nil ->
         {:error,
          Error.new(:no_espeak, "the program espeak-ng is not installed",
-           why: "it turns text into sound",
+           why: "it converts text to speech",
            fix: "install it: apt-get install espeak-ng"
          )}
 
@@ -98,13 +99,13 @@ defmodule Situ.Infer.Speech.Espeak do
     end
   end
 
-  # The text that is given to espeak-ng.
+  # Returns the text to pass to espeak-ng.
   defp check(voice, text) do
     text = if "-m" in voice.arguments, do: harmless(text), else: text
     with :ok <- check(text), do: {:ok, text}
   end
 
-  # Without a tag another may come together of what was around it.
+  # Removing a tag may form a new tag from the surrounding text, so this repeats until nothing changes.
   defp harmless(text) do
     if String.valid?(text) do
       case String.replace(text, ~r{<\s*/?\s*audio\b[^>]*(>|\z)}i, "") do
@@ -118,9 +119,9 @@ defmodule Situ.Infer.Speech.Espeak do
 
   defp check(text) do
     cond do
-      not String.valid?(text) or String.contains?(text, <<0>>) -> bad("it is not text")
+      not String.valid?(text) or String.contains?(text, <<0>>) -> bad("it is not valid text")
       byte_size(text) > @longest -> bad("it has more than #{@longest} bytes")
-      # Nothing to be said: no letter, number or sign.
+      # A text without letters, numbers or symbols contains nothing to speak.
       not String.match?(text, ~r/[\p{L}\p{N}\p{S}]/u) -> :nothing
       true -> :ok
     end
@@ -131,7 +132,7 @@ defmodule Situ.Infer.Speech.Espeak do
   defp bad(why),
     do:
       {:error,
-       Error.new(:bad_text, "this cannot be spoken", why: why, fix: "give it in sentences")}
+       Error.new(:bad_text, "the text cannot be spoken", why: why, fix: "split it into sentences")}
 
   defp run(voice, text) do
     case command([voice.program, "--stdout"] ++ voice.arguments ++ ["--", text]) do
@@ -140,7 +141,7 @@ defmodule Situ.Infer.Speech.Espeak do
     end
   end
 
-  # Its complaints would go to the terminal.
+  # The program's error output is discarded because it would go to the terminal.
   defp command(command) do
     limited = ["timeout", "-k", "1", "#{@seconds}" | command]
     System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | limited])
@@ -151,12 +152,12 @@ defmodule Situ.Infer.Speech.Espeak do
 
     case command([program | voice.marker] ++ [text]) do
       {bytes, 0} ->
-        with :error <- Frames.parse(bytes, text), do: {:error, failed(voice, "half an answer")}
+        with :error <- Frames.parse(bytes, text), do: {:error, failed(voice, "0, cut short")}
 
       {_, 3} ->
         {:error,
-         Error.new(:no_espeak, "espeak-ng's library cannot be opened",
-           why: "marks come from libespeak-ng.so.1",
+         Error.new(:no_espeak, "cannot load the espeak-ng library",
+           why: "marks require libespeak-ng.so.1",
            fix: "install it: apt-get install espeak-ng"
          )}
 
@@ -168,7 +169,7 @@ defmodule Situ.Infer.Speech.Espeak do
     end
   end
 
-  # Its header announces more than there is, since it is written first.
+  # The header is written before the data and announces a size that is too large.
   defp sound(
          <<"RIFF", _::32, "WAVEfmt ", 16::little-32, format::binary-16, "data", _::32,
            data::binary>>
@@ -181,11 +182,11 @@ defmodule Situ.Infer.Speech.Espeak do
   defp sound(_), do: silence()
 
   defp failed(%{arguments: ["-v", voice | _]}, 1) do
-    Error.new(:bad_voice, "espeak-ng does not know the voice #{inspect(voice)}",
-      fix: "choose one that `espeak-ng --voices` lists"
+    Error.new(:bad_voice, "espeak-ng has no voice #{inspect(voice)}",
+      fix: "use a voice listed by `espeak-ng --voices`"
     )
   end
 
   defp failed(_voice, status),
-    do: Error.new(:synthesis_failed, "espeak-ng ended with status #{status}")
+    do: Error.new(:synthesis_failed, "espeak-ng exited with status #{status}")
 end

@@ -3,25 +3,25 @@ defmodule Situ.Infer.Speech.Hibari do
     speed: [
       type: {:range, 0.5, 2.0},
       default: 1.0,
-      doc: "How fast it speaks; 1.0 is its own pace."
+      doc: "The speed; 1.0 is the voice's normal speed."
     ],
     folder: [
       type: {:optional, :string},
       default: nil,
-      doc: "Where `hibari.onnx` and `vocab.json` are, else `Situ.Infer.ModelStore`."
+      doc: "The folder with `hibari.onnx` and `vocab.json`; default: `Situ.Infer.ModelStore`."
     ]
   ]
 
   @moduledoc """
-  Text to speech by Hibari: one natural English voice, 8 MB, in ONNX Runtime, several times faster than speech on one
-  core.
+  Text to speech with Hibari: one natural English voice of 8 MB, which runs in ONNX Runtime, several times faster than
+  real time on one core.
 
       {:ok, voice} = Situ.Infer.Speech.Hibari.load(speed: 1.1)
       {:ok, sound} = Situ.Infer.Speech.Hibari.speak(voice, "Go forward ten metres.")
 
-  `bin/lib/fetch-model hibari` fetches it (Apache-2.0). How words are pronounced is asked of espeak-ng
-  (`Situ.Infer.Speech.Hibari.Phonemes`); the network says what the sound's spectrum is, and
-  `Situ.Infer.Speech.Hibari.Vocoder` makes sound of that: 24 kHz, one channel. The same text sounds the same.
+  `bin/lib/fetch-model hibari` downloads it (Apache-2.0). espeak-ng determines the pronunciation of the words
+  (`Situ.Infer.Speech.Hibari.Phonemes`), the network computes spectra, and `Situ.Infer.Speech.Hibari.Vocoder` converts
+  them to audio: 24 kHz, one channel. The same text always gives the same audio.
 
   ## Options
 
@@ -29,7 +29,7 @@ defmodule Situ.Infer.Speech.Hibari do
 
   ## Errors
 
-  `:no_espeak`, `:bad_text`, `:synthesis_failed`, and those of `Situ.Infer.Model`.
+  `:no_espeak`, `:bad_text`, `:synthesis_failed`, and the errors of `Situ.Infer.Model`.
   """
   @behaviour Situ.Infer.Speech.Synthesizer
 
@@ -40,7 +40,7 @@ defmodule Situ.Infer.Speech.Hibari do
   @name "hibari"
   @bins 601
   @longest 20_000
-  # The network has seen no longer sentences.
+  # The network was not trained with longer sentences.
   @most_phonemes 400
   @pause 0.12
 
@@ -95,17 +95,17 @@ defmodule Situ.Infer.Speech.Hibari do
         error
 
       _ ->
-        {:error, Error.new(:bad_model, "not a usable vocabulary of #{@name}", fix: fetch_again())}
+        {:error, Error.new(:bad_model, "invalid vocabulary of #{@name}", fix: fetch_again())}
     end
   end
 
-  defp fetch_again, do: "fetch the model again with bin/lib/fetch-model #{@name}"
+  defp fetch_again, do: "download the model again with bin/lib/fetch-model #{@name}"
 
   @impl true
   @spec speak(t(), String.t()) :: AudioBuffer.result()
   def speak(%__MODULE__{} = voice, text) do
     cond do
-      not String.valid?(text) or String.contains?(text, <<0>>) -> bad("it is not text")
+      not String.valid?(text) or String.contains?(text, <<0>>) -> bad("it is not valid text")
       byte_size(text) > @longest -> bad("it has more than #{@longest} bytes")
       true -> with {:ok, sentences} <- Phonemes.sentences(text), do: sentences(voice, sentences)
     end
@@ -114,7 +114,7 @@ defmodule Situ.Infer.Speech.Hibari do
   defp bad(why),
     do:
       {:error,
-       Error.new(:bad_text, "this cannot be spoken", why: why, fix: "give it in sentences")}
+       Error.new(:bad_text, "the text cannot be spoken", why: why, fix: "split it into sentences")}
 
   defp sentences(voice, sentences) do
     sentences
@@ -128,7 +128,7 @@ defmodule Situ.Infer.Speech.Hibari do
     |> joined()
   end
 
-  # Unknown signs have no sound.
+  # Unknown symbols are skipped.
   defp ids(voice, phonemes) do
     for sign <- String.codepoints(phonemes), id = voice.vocabulary[sign], do: id
   end

@@ -1,12 +1,12 @@
 defmodule Situ.Infer.Speech.Mark do
   @moduledoc """
-  A part of spoken text, with the times of its beginning and end.
+  A part of spoken text, with its start and end times.
 
-    * `kind`: `:sentence`, `:word`, `:phoneme` (its `text` in the International Phonetic Alphabet), or `:mark`, a place
-      that the text names (`<mark name="here"/>` in SSML)
-    * `text`: the sentence's, the word's, the sound's or the name
-    * `from`, `to`: ns; from the beginning of the sound, or in a stream's time
-    * `place`: of words and sentences, where in the text it stands, characters from 0
+    * `kind`: `:sentence`, `:word`, `:phoneme` (its `text` is in the International Phonetic Alphabet), or `:mark`, a
+      position named in the text (`<mark name="here"/>` in SSML)
+    * `text`: the sentence, word, phoneme or name
+    * `from`, `to`: ns; from the start of the audio, or in a stream's time
+    * `place`: the offset of words and sentences in the text, in characters from 0
   """
   @enforce_keys [:kind, :text, :from, :to]
   defstruct [:kind, :text, :from, :to, :place]
@@ -20,7 +20,7 @@ defmodule Situ.Infer.Speech.Mark do
         }
 
   @doc """
-  Later by `ns`.
+  Shifts a mark by `ns`.
 
       iex> word = %Situ.Infer.Speech.Mark{kind: :word, text: "go", from: 0, to: 5}
       iex> Situ.Infer.Speech.Mark.shift(word, 100).to

@@ -1,14 +1,14 @@
 defmodule Situ.Infer.Speech.Moonshine do
   @moduledoc """
-  Moonshine tiny: English speech to text, 27 million parameters, in ONNX Runtime.
+  Speech to text with Moonshine tiny: English, 27 million parameters, in ONNX Runtime.
 
       {:ok, moonshine} = Situ.Infer.Speech.Moonshine.load()
       {:ok, %{text: "ten of clubs", confidence: 0.97}} = Situ.Infer.Speech.Moonshine.transcribe(moonshine, buffer)
 
-  It takes sound as it is, without features, and writes one token after another, each the likeliest. It invents words
-  where nobody speaks: give it what voice activity has found to be speech. `bin/lib/fetch-model moonshine-tiny-en`
-  fetches it. It knows no times of words. `alternatives: n` has it write again, each time with the second likeliest
-  token at one of the `n` places where it was least sure: as many times the work.
+  It takes audio without feature extraction and generates one token after another, always the likeliest one. It invents
+  words if nobody is speaking, so pass only audio that voice activity detection has marked as speech. It has no word
+  times. `bin/lib/fetch-model moonshine-tiny-en` downloads it. With `alternatives: n` it decodes again for each of the
+  `n` least certain positions, using the second likeliest token there; the work grows accordingly.
   """
   @behaviour Situ.Infer.Speech.Recognizer
 
@@ -20,9 +20,9 @@ defmodule Situ.Infer.Speech.Moonshine do
   @rate 16_000
   @begin 1
   @finish 2
-  # Nobody says more in a second; a network that goes in circles must end.
+  # Faster than anybody speaks; the limit stops a network that repeats itself.
   @tokens_a_second 6.5
-  # The network has seen nothing longer.
+  # The network was not trained with longer audio.
   @longest_s 64
   @shortest 1_600
 
@@ -44,8 +44,9 @@ defmodule Situ.Infer.Speech.Moonshine do
         }
 
   @doc """
-  Loads it; `folder:` where the three files are, else `Situ.Infer.ModelStore`; `alternatives:` how many are wanted at
-  most, 0 to #{@most_alternatives}. Errors: those of `Situ.Infer.Model`.
+  Loads the model. `folder:` contains its three files (by default they come from `Situ.Infer.ModelStore`);
+  `alternatives:` is the maximum number of alternatives, 0 to #{@most_alternatives}. Errors: the errors of
+  `Situ.Infer.Model`.
   """
   @impl true
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
@@ -66,7 +67,7 @@ defmodule Situ.Infer.Speech.Moonshine do
          {:ok, decoder} <- Model.shared(decoder, settings) do
       moonshine = %__MODULE__{encoder: encoder, decoder: decoder, tokenizer: tokenizer}
 
-      # The first recognition is slow: it is of silence, before anybody speaks.
+      # The first recognition is slow, so silence is recognized now, before anybody speaks.
       with {:ok, _} <- transcribe(moonshine, AudioBuffer.silence(AudioFormat.pcm(@rate), @rate)),
            do: {:ok, %{moonshine | alternatives: round(opts[:alternatives])}}
     end
@@ -82,15 +83,15 @@ defmodule Situ.Infer.Speech.Moonshine do
     else
       _ ->
         {:error,
-         Error.new(:bad_model, "not a usable vocabulary: #{path}",
-           fix: "fetch the model again with bin/lib/fetch-model #{@name}"
+         Error.new(:bad_model, "invalid vocabulary: #{path}",
+           fix: "download the model again with bin/lib/fetch-model #{@name}"
          )}
     end
   end
 
   @doc """
-  The words in a piece of sound of 0.1 to 64 seconds, any format. `confidence` is the geometric mean of the tokens'
-  probabilities. Shorter sound gives an empty text.
+  Recognizes the words in 0.1 to 64 seconds of audio of any format. `confidence` is the geometric mean of the tokens'
+  probabilities. Shorter audio gives an empty text.
   """
   @impl true
   @spec transcribe(t(), AudioBuffer.t()) :: {:ok, result()} | {:error, Error.t()}
@@ -107,8 +108,8 @@ defmodule Situ.Infer.Speech.Moonshine do
   end
 
   defp too_long(n) do
-    Error.new(:too_long, "#{div(n, @rate)} s of sound are too long for one recognition",
-      fix: "cut it in pauses into pieces of #{@longest_s} s or less"
+    Error.new(:too_long, "#{div(n, @rate)} s of audio are too long for one recognition",
+      fix: "split it at pauses into chunks of #{@longest_s} s or less"
     )
   end
 
@@ -143,7 +144,7 @@ defmodule Situ.Infer.Speech.Moonshine do
     end
   end
 
-  # It writes again from each place where it was least sure, with the token that came second there.
+  # Decodes again from each of the least certain positions, with the second likeliest token there.
   defp others(%{alternatives: 0}, _state, _steps), do: {:ok, []}
 
   defp others(moonshine, state, steps) do
@@ -163,13 +164,13 @@ defmodule Situ.Infer.Speech.Moonshine do
 
   defp ones(n), do: Tensor.new(:binary.copy(<<1::64-native>>, n), :s64, {1, n})
 
-  # The first step looks at no past; its tensors only have to be there.
+  # The first step ignores the past, but its tensors must exist.
   defp nothing(shape) do
     [_, heads, _, width] = Tuple.to_list(shape)
     Tensor.zeros(:f32, {1, heads, 1, width})
   end
 
-  # Steps are tokens with their probability, and the second likeliest token with its own. `forced` are the first ones.
+  # A step is a token with its probability, and the second likeliest token with its own. `forced` are the first tokens.
   defp write(moonshine, state, token, again?, forced, steps) do
     inputs =
       state.fixed
@@ -199,7 +200,7 @@ defmodule Situ.Infer.Speech.Moonshine do
     end
   end
 
-  # Its encoding of the sound never changes after the first step.
+  # The encoder's part of the past does not change after the first step.
   defp remember(past, outputs, again?) do
     for {"present" <> rest, tensor} <- outputs,
         not again? or not String.contains?(rest, "encoder"),
@@ -207,7 +208,8 @@ defmodule Situ.Infer.Speech.Moonshine do
         do: {"past_key_values" <> rest, tensor}
   end
 
-  # The two largest logits and the probability of any: the vocabulary is walked once for them, once for the sum.
+  # Returns the tokens of the two largest logits and a function for the probability of any token. The vocabulary is
+  # traversed once for the logits and once for the sum.
   defp likeliest(%Tensor{data: data, shape: shape}) do
     row = 4 * elem(shape, tuple_size(shape) - 1)
     data = binary_part(data, byte_size(data) - row, row)

@@ -3,38 +3,38 @@ defmodule Situ.Infer.Speech.OpenAI do
     url: [
       type: :string,
       default: "https://api.openai.com/v1",
-      doc: "Where the service is; `/audio/...` follows."
+      doc: "The URL of the service; `/audio/...` is appended."
     ],
     key: [
       type: {:optional, :string},
       default: "OPENAI_API_KEY",
-      doc: "The **name** of the environment variable that holds the key; `nil`: none is sent."
+      doc: "The **name** of the environment variable with the key; `nil` sends no key."
     ],
-    recognizer: [type: :string, default: "whisper-1", doc: "Which model recognises."],
-    synthesizer: [type: :string, default: "tts-1", doc: "Which model speaks."],
-    voice: [type: :string, default: "alloy", doc: "Whose voice."],
+    recognizer: [type: :string, default: "whisper-1", doc: "The model that recognizes speech."],
+    synthesizer: [type: :string, default: "tts-1", doc: "The model that synthesizes speech."],
+    voice: [type: :string, default: "alloy", doc: "The voice."],
     language: [
       type: {:optional, :string},
       default: nil,
-      doc: "The language spoken, such as \"en\"; `nil`: the service detects it."
+      doc: "The spoken language, such as \"en\"; with `nil` the service detects it."
     ],
     rate: [
       type: {:range, 8_000, 48_000},
       default: 24_000,
-      doc: "Frames a second of the sound that the service sends, Hz."
+      doc: "The sample rate of the audio that the service sends, Hz."
     ]
   ]
   @schema @own ++ Keyword.delete(Situ.Infer.Service.schema(), :key)
 
   @moduledoc """
-  Speech to text and text to speech by any service that speaks OpenAI's protocol (OpenAI, or a server of your own):
+  Speech to text and text to speech with any service that implements OpenAI's protocol (OpenAI or a self-hosted server):
   `/audio/transcriptions` and `/audio/speech`.
 
       Situ.Infer.transcribe(sound, recognizer: Situ.Infer.Speech.OpenAI, partial: nil)
       Situ.via(text, Situ.Infer.SpeechSynthesizer, synthesizer: Situ.Infer.Speech.OpenAI.Voice).out
 
-  Each result while somebody speaks is a request of its own: `partial: nil` has none. Confidence is the mean the
-  service gives for the words, 0.5 where it gives none.
+  Each partial result is a separate request; `partial: nil` disables partial results. Confidence is computed from the
+  mean log probability of the segments, or is 0.5 if the service reports none.
 
   ## Options
 
@@ -42,7 +42,7 @@ defmodule Situ.Infer.Speech.OpenAI do
 
   ## Errors
 
-  Those of `Situ.Infer.Service`, `:bad_answer`.
+  The errors of `Situ.Infer.Service`, `:bad_answer`.
   """
   @behaviour Situ.Infer.Speech.Recognizer
 

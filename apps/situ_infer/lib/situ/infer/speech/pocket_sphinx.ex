@@ -4,39 +4,40 @@ defmodule Situ.Infer.Speech.PocketSphinx do
       type: {:optional, :string},
       default: nil,
       doc:
-        "The sentences to recognise: a grammar in JSGF, or the path of a file with one; `nil`: any, with many errors."
+        "The sentences to recognize: a JSGF grammar, or the path of its file; `nil` accepts any, with many errors."
     ],
     keyword: [
       type: {:optional, :string},
       default: nil,
-      doc: "One phrase that is waited for in place of a grammar; all else is nothing."
+      doc: "One phrase to detect instead of using a grammar; all other speech is ignored."
     ],
     threshold: [
       type: {:range, 1.0e-50, 1.0},
       default: 1.0e-20,
       doc:
-        "How sure it must be of the keyword: smaller hears it more often, also where nobody said it."
+        "The detection threshold for the keyword; a smaller value detects it more often, with more false detections."
     ],
     alternatives: [
       type: {:range, 0, 20},
       default: 3,
-      doc: "The most alternative sentences in a result."
+      doc: "The maximum number of alternative sentences in a result."
     ]
   ]
 
   @moduledoc """
-  Speech to text by the program PocketSphinx: small and quick, for the sentences of a grammar or a keyword. Of free
-  speech it gets a third of the words wrong; `Situ.Infer.Speech.Moonshine` is for that.
+  Speech to text with the program PocketSphinx, which is small and fast, for the sentences of a grammar or a keyword. It
+  gets a third of the words of free speech wrong; use `Situ.Infer.Speech.Moonshine` for free speech.
 
       {:ok, sphinx} = Situ.Infer.Speech.PocketSphinx.load(grammar: "robot.gram")
       {:ok, %{text: "go forward ten meters"}} = Situ.Infer.Speech.PocketSphinx.transcribe(sphinx, buffer)
 
-  It comes with Debian: `apt-get install pocketsphinx pocketsphinx-en-us` (English, BSD). Each piece of sound is two
-  runs of the program, about 0.3 s of one core. Results have words with their times and alternatives.
+  It is part of Debian: `apt-get install pocketsphinx pocketsphinx-en-us` (English, BSD). Each chunk runs the program
+  twice and takes about 0.3 s of CPU time. Results contain alternatives, and words with times.
 
-  A grammar makes a sentence of whatever it hears. So the sound is also heard as bare phones: `confidence` says how much
-  of that likelihood the sentence keeps. Recordings of sentences of a grammar have 0.7 and more, of other speech 0.2
-  and less. Without a grammar it is the share of the best result among all alternatives.
+  A grammar turns any audio into one of its sentences. Therefore the audio is also decoded as bare phones, and
+  `confidence` is derived from the share of that likelihood that the sentence keeps. In recordings, sentences of a
+  grammar have a confidence of 0.7 or more, and other speech 0.2 or less. Without a grammar, `confidence` is the share
+  of the best result among all alternatives.
 
   ## Options
 
@@ -53,12 +54,12 @@ defmodule Situ.Infer.Speech.PocketSphinx do
 
   @program "pocketsphinx_batch"
   @listener "pocketsphinx_continuous"
-  # Phones by themselves, one after another: what any speech may be.
+  # Decodes any sequence of phones, which matches any speech.
   @phones ["-allphone_ci", "yes", "-beam", "1e-10", "-pbeam", "1e-10", "-lw", "2.0"]
-  # Wide enough that other sentences are still among those it keeps.
+  # The beam is wide enough to keep alternative sentences.
   @wide ["-wbeam", "1e-120", "-beam", "1e-120", "-pbeam", "1e-120"]
   @phone_model "en-us/en-us-phone.lm.bin"
-  # Nothing it is asked takes so long.
+  # No valid audio takes this long.
   @seconds 120
 
   @enforce_keys [:program, :listener, :phones, :grammar, :keyword, :threshold, :alternatives]
@@ -204,9 +205,9 @@ defmodule Situ.Infer.Speech.PocketSphinx do
 
       {_, status} ->
         {:error,
-         Error.new(:recognition_failed, "#{Path.basename(program)} ended with status #{status}",
-           why: "a word of the grammar or keyword may be missing in its dictionary",
-           fix: "run it by hand with -jsgf and without -logfn"
+         Error.new(:recognition_failed, "#{Path.basename(program)} exited with status #{status}",
+           why: "a word of the grammar or keyword may be missing from its dictionary",
+           fix: "run the program manually with -jsgf and without -logfn"
          )}
     end
   end
@@ -219,7 +220,7 @@ defmodule Situ.Infer.Speech.PocketSphinx do
     ["-jsgf", path | if(sphinx.alternatives > 0, do: @wide, else: [])]
   end
 
-  # Its list also holds sentences that are not over.
+  # PocketSphinx also lists incomplete sentences, which are removed.
   defp whole(others, nil), do: others
 
   defp whole(others, {_, jsgf}) do

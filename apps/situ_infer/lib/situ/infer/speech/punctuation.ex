@@ -1,23 +1,23 @@
 defmodule Situ.Infer.Speech.Punctuation do
   @moduledoc """
-  Makes sentences of words: capitals, full stops, question marks. Some recognisers write words only (PocketSphinx,
-  telephone services); Moonshine writes sentences already.
+  Turns words into sentences with capitals, periods and question marks. Some recognizers write only words (PocketSphinx,
+  telephone services); Moonshine already writes sentences.
 
       heard |> Situ.Infer.punctuate()                                    # rules
       heard |> Situ.Infer.punctuate(punctuation: Situ.Infer.Speech.Punctuation.Model, options: [model: "llama3.2"])
 
-  | built in | does it by |
+  | built in | method |
   |---|---|
-  | `Situ.Infer.Speech.Punctuation.Rules` | the first words of English sentences |
+  | `Situ.Infer.Speech.Punctuation.Rules` | rules based on the first words of English sentences |
   | `Situ.Infer.Speech.Punctuation.Model` | a language model (`Situ.Chat`) |
 
-  Another is a module with these callbacks.
+  To add another, implement these callbacks in a module.
   """
 
-  @doc "Makes it ready."
+  @doc "Loads the punctuation model or rules."
   @callback load(keyword()) :: {:ok, punctuation :: term()} | {:error, Situ.Error.t()}
 
-  @doc "The same words as sentences."
+  @doc "Returns the same words as sentences."
   @callback punctuate(punctuation :: term(), String.t()) ::
               {:ok, String.t()} | {:error, Situ.Error.t()}
 end

@@ -1,19 +1,19 @@
 defmodule Situ.Infer.Speech.Recognizer do
   @moduledoc """
-  A recognizer turns a piece of sound into text: the seam between `Situ.Infer.SpeechRecognizer` and a model.
+  Behaviour of recognizers, which convert audio to text for `Situ.Infer.SpeechRecognizer`.
 
-  | built in | is for | runs |
+  | built in | use | runs |
   |---|---|---|
-  | `Situ.Infer.Speech.Moonshine` | free English speech | here, ONNX Runtime |
-  | `Situ.Infer.Speech.PocketSphinx` | sentences of a grammar, keywords | here, a program |
-  | `Situ.Infer.Speech.OpenAI`, `Situ.Infer.Speech.Azure` | many languages | a service |
+  | `Situ.Infer.Speech.Moonshine` | free English speech | locally, ONNX Runtime |
+  | `Situ.Infer.Speech.PocketSphinx` | sentences of a grammar, keywords | locally, a program |
+  | `Situ.Infer.Speech.OpenAI`, `Situ.Infer.Speech.Azure` | many languages | as a service |
 
-  Another is a module with these callbacks, named by the option `recognizer:`.
+  To add another, implement these callbacks in a module and pass it as `recognizer:`.
   """
 
   @typedoc """
-  `confidence` is 0..1. `words` are those with times, ns from the beginning of the sound, where the recogniser knows
-  them; `alternatives` what else it may have been, likeliest first.
+  `confidence` is 0..1. If the recognizer supports them, `words` are the words with times (ns from the start of the
+  audio), and `alternatives` are other possible texts, likeliest first.
   """
   @type result :: %{
           required(:text) => String.t(),
@@ -29,10 +29,10 @@ defmodule Situ.Infer.Speech.Recognizer do
         }
   @type alternative :: %{text: String.t(), confidence: float()}
 
-  @doc "Loads it; errors stop the pipeline before its first message."
+  @doc "Loads the model. Errors stop the pipeline before its first message."
   @callback load(keyword()) :: {:ok, model :: term()} | {:error, Situ.Error.t()}
 
-  @doc "The words in the sound; an empty text if there are none."
+  @doc "Returns the words in the audio, or an empty text if it contains none."
   @callback transcribe(model :: term(), Situ.AudioBuffer.t()) ::
               {:ok, result()} | {:error, Situ.Error.t()}
 end

@@ -1,26 +1,26 @@
 defmodule Situ.Infer.Speech.Synthesizer do
   @moduledoc """
-  A synthesizer turns text into sound: the seam between `Situ.Infer.SpeechSynthesizer` and a program, model or
+  Behaviour of synthesizers, which convert text to audio for `Situ.Infer.SpeechSynthesizer` using a program, model or
   service.
 
-  | built in | is | runs | says when each word is spoken |
+  | built in | voice | runs | reports word times |
   |---|---|---|---|
-  | `Situ.Infer.Speech.Espeak` | a robot in a hundred languages | here, a program | yes |
-  | `Situ.Infer.Speech.Hibari` | one natural English voice | here, ONNX Runtime | no |
-  | `Situ.Infer.Speech.OpenAI.Voice`, `Situ.Infer.Speech.Azure.Voice` | many voices | a service | no |
+  | `Situ.Infer.Speech.Espeak` | robotic, in a hundred languages | locally, a program | yes |
+  | `Situ.Infer.Speech.Hibari` | one natural English voice | locally, ONNX Runtime | no |
+  | `Situ.Infer.Speech.OpenAI.Voice`, `Situ.Infer.Speech.Azure.Voice` | many voices | as a service | no |
 
-  Another is a module with these callbacks, named by the option `synthesizer:`.
+  To add another, implement these callbacks in a module and pass it as `synthesizer:`.
   """
 
-  @doc "Makes it ready; errors stop the pipeline before its first message."
+  @doc "Loads the voice. Errors stop the pipeline before its first message."
   @callback load(keyword()) :: {:ok, voice :: term()} | {:error, Situ.Error.t()}
 
-  @doc "The text spoken, in a format of the synthesizer's own; no frames for a text without words."
+  @doc "Speaks a text in any audio format; a text without words gives a buffer without frames."
   @callback speak(voice :: term(), String.t()) :: Situ.AudioBuffer.result()
 
   @doc """
-  The same with marks: sentences, words, phonemes and marks of the text, by their beginnings, in the time of the
-  sound.
+  Speaks a text and also returns marks (sentences, words, phonemes and marks of the text), ordered by start time and
+  relative to the start of the audio.
   """
   @callback speak_marked(voice :: term(), String.t()) ::
               {:ok, Situ.AudioBuffer.t(), [Situ.Infer.Speech.Mark.t()]}

@@ -1,9 +1,9 @@
 defmodule Situ.Infer.Speech.Tokenizer do
   @moduledoc """
-  The vocabulary of a recogniser: what each token number stands for.
+  The vocabulary of a recognizer, which maps token numbers to text.
 
-  The file is a row of entries, each a length and so many bytes; a length of 128 or more takes two bytes,
-  `(first - 128) + second * 128`. `▁` (U+2581) stands for a space.
+  The file is a sequence of entries, each a length followed by that many bytes. A length of 128 or more takes two bytes,
+  `(first - 128) + second * 128`. `▁` (U+2581) represents a space.
 
       iex> {:ok, tokenizer} = Situ.Infer.Speech.Tokenizer.parse(<<0, 5, "▁go", 3, "ing">>)
       iex> Situ.Infer.Speech.Tokenizer.text(tokenizer, [1, 2])
@@ -15,7 +15,7 @@ defmodule Situ.Infer.Speech.Tokenizer do
 
   @type t :: tuple()
 
-  @doc "The vocabulary in a file's bytes."
+  @doc "Parses a vocabulary file."
   @spec parse(binary()) :: {:ok, t()} | :error
   def parse(bytes), do: entries(bytes, [])
 
@@ -35,7 +35,7 @@ defmodule Situ.Infer.Speech.Tokenizer do
 
   defp entries(_, _found), do: :error
 
-  @doc "The text of a row of tokens; numbers beyond the vocabulary and broken letters are left out."
+  @doc "Decodes tokens to text; numbers outside the vocabulary and incomplete characters are skipped."
   @spec text(t(), [non_neg_integer()]) :: String.t()
   def text(tokenizer, tokens) do
     for(t <- tokens, t < tuple_size(tokenizer), into: "", do: elem(tokenizer, t))

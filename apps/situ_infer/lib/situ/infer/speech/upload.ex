@@ -1,12 +1,12 @@
 defmodule Situ.Infer.Speech.Upload do
   @moduledoc false
-  # Requests to services: sound as a WAV file in memory, forms, text as SSML.
+  # Builds parts of requests to services: audio as an in-memory WAV file, forms, and escaped text for SSML.
   alias Situ.{AudioBuffer, Error, Sound}
 
   @rate 16_000
   @longest_text 20_000
 
-  @doc "16 kHz mono sound as the bytes of a WAV file."
+  @doc "Encodes audio as a 16 kHz mono WAV file."
   @spec wav(AudioBuffer.t()) :: {:ok, binary()} | {:error, Error.t()}
   def wav(sound) do
     with {:ok, mono} <- Sound.reformat(sound, channels: 1, sample: :s16),
@@ -20,11 +20,11 @@ defmodule Situ.Infer.Speech.Upload do
     end
   end
 
-  @doc "A form with a file: its content type and body."
+  @doc "Encodes a form with a file; returns its content type and body."
   @spec form([{String.t(), String.t()}], {String.t(), String.t(), String.t(), binary()}) ::
           {String.t(), iodata()}
   def form(fields, {name, file, type, bytes}) do
-    # Nobody's sound holds a random number of 128 bits.
+    # A random boundary of 128 bits does not occur in the audio.
     border = "situ-" <> Base.encode16(:crypto.strong_rand_bytes(16))
 
     part =
@@ -50,11 +50,11 @@ defmodule Situ.Infer.Speech.Upload do
      ]}
   end
 
-  @doc "Whether a text can be sent to be spoken; `:nothing` when there is nothing in it."
+  @doc "Checks that a text can be spoken; returns `:nothing` if it contains nothing to speak."
   @spec text(String.t()) :: :ok | :nothing | {:error, Error.t()}
   def text(text) do
     cond do
-      not String.valid?(text) or String.contains?(text, <<0>>) -> bad("it is not text")
+      not String.valid?(text) or String.contains?(text, <<0>>) -> bad("it is not valid text")
       byte_size(text) > @longest_text -> bad("it has more than #{@longest_text} bytes")
       not String.match?(text, ~r/[\p{L}\p{N}\p{S}]/u) -> :nothing
       true -> :ok
@@ -62,18 +62,18 @@ defmodule Situ.Infer.Speech.Upload do
   end
 
   defp bad(why) do
-    {:error, Error.new(:bad_text, "this cannot be spoken", why: why, fix: "give it in sentences")}
+    {:error, Error.new(:bad_text, "the text cannot be spoken", why: why, fix: "split the text")}
   end
 
-  @doc "The error of an answer that is not in the service's protocol."
+  @doc "Builds the error for a response that does not follow the service's protocol."
   @spec bad_answer() :: Error.t()
   def bad_answer do
-    Error.new(:bad_answer, "the service's answer has an unexpected form",
-      fix: "check the URL: another kind of service may be there"
+    Error.new(:bad_answer, "the service's response has an unexpected format",
+      fix: "check the URL; it may belong to a different kind of service"
     )
   end
 
-  @doc "Text as part of an XML document."
+  @doc "Escapes text for an XML document."
   @spec escape(String.t()) :: String.t()
   def escape(text) do
     text

@@ -1,10 +1,10 @@
 defmodule Situ.Infer.Speech.Utterance do
   @moduledoc """
-  The words of one speaker: `text`, from `from` to `to` (ns, times of the sound), with a `confidence` of 0..1.
-  `final?` is false while the person goes on speaking, and the text may still change.
+  The words of one speaker: `text`, from `from` to `to` (ns, in the time of the audio), with a `confidence` of 0..1.
+  `final?` is false while the person is still speaking, and the text may still change.
 
-  Where the recogniser knows them, `words` are the words with their times (ns) and `alternatives` what else it may have
-  been, likeliest first; else both are empty.
+  If the recognizer supports them, `words` are the words with their times (ns) and `alternatives` are other possible
+  texts, likeliest first. Otherwise both are empty.
 
       iex> said = %Situ.Infer.Speech.Utterance{text: "Ten of clubs.", from: 0, to: 900_000_000, confidence: 0.9}
       iex> Situ.Infer.Speech.Utterance.words(said.text)
@@ -26,7 +26,7 @@ defmodule Situ.Infer.Speech.Utterance do
         }
 
   @doc """
-  The words of a text without case and punctuation, numbers and titles written out: what recognisers are compared by.
+  Splits a text into words for comparison, without case and punctuation, and with numbers and titles written out.
 
       iex> Situ.Infer.Speech.Utterance.words("Mr. Dashwood, 10 meters!")
       ["mister", "dashwood", "ten", "meters"]
@@ -51,7 +51,8 @@ defmodule Situ.Infer.Speech.Utterance do
   end
 
   @doc """
-  Word error rate: words put in, left out or exchanged, over the words of the truth.
+  Returns the word error rate: the number of inserted, deleted or substituted words, divided by the number of words in
+  the truth.
 
       iex> Situ.Infer.Speech.Utterance.error_rate("four queen of clubs", "Four, queen of gloves!")
       0.25
@@ -64,7 +65,7 @@ defmodule Situ.Infer.Speech.Utterance do
     distance(truth, heard) / max(length(truth), 1)
   end
 
-  # Levenshtein's, a row at a time.
+  # Computes the Levenshtein distance one row at a time.
   defp distance(truth, heard) do
     first = Enum.to_list(0..length(heard))
 

@@ -1,22 +1,23 @@
 defmodule Situ.Infer.Speech.WakeWord do
   @moduledoc """
-  A spotter hears a name in speech: the seam between `Situ.Infer.wake_word/2` and a recogniser or keyword spotter.
+  Behaviour of spotters, which detect a name in speech for `Situ.Infer.wake_word/2` using a recognizer or a keyword
+  search.
 
-  | built in | hears | for |
+  | built in | detects | use |
   |---|---|---|
-  | `Situ.Infer.Speech.WakeWord.Spoken` | the name among the words of a recogniser (Moonshine) | any name, and few mistakes |
-  | `Situ.Infer.Speech.WakeWord.Keyword` | the sounds of the name (PocketSphinx) | machines without ONNX Runtime |
+  | `Situ.Infer.Speech.WakeWord.Spoken` | the name among recognized words (Moonshine) | any name, with few mistakes |
+  | `Situ.Infer.Speech.WakeWord.Keyword` | the sound of the name (PocketSphinx) | machines without ONNX Runtime |
 
-  Another is a module with these callbacks, named by the option `spotter:`.
+  To add another, implement these callbacks in a module and pass it as `spotter:`.
   """
 
-  @typedoc "Where the name is, ns from the beginning of the sound; the whole sound where it is not known better."
+  @typedoc "The interval of the name, in ns from the start of the audio; all of the audio if it is not known exactly."
   @type place :: %{from: non_neg_integer(), to: non_neg_integer(), confidence: float()}
 
-  @doc "Makes it ready; `phrase:` is the name. Errors stop the pipeline before its first message."
+  @doc "Loads the spotter; `phrase:` is the name. Errors stop the pipeline before its first message."
   @callback load(keyword()) :: {:ok, spotter :: term()} | {:error, Situ.Error.t()}
 
-  @doc "The places of the name in a piece of speech; none when it is not said."
+  @doc "Returns the intervals of the name in the audio, or an empty list if it is not spoken."
   @callback spot(spotter :: term(), Situ.AudioBuffer.t()) ::
               {:ok, [place()]} | {:error, Situ.Error.t()}
 end

@@ -1,16 +1,16 @@
 defmodule Situ.Infer.Task.Anonymise do
   @moduledoc """
-  The batch task `anonymise`: the streams of a session in one partition, with faces hidden, sound muted where it says
-  who somebody is, and without the streams that nobody else may see.
+  The batch task `anonymise`. It copies the streams of a session into one partition, hides faces, mutes the audio where
+  it identifies people, and leaves out streams that must stay private.
 
-  Faces are found by a detector, which may miss some (`Situ.Infer.FaceBlur`): look at the result before you hand it on.
+  Faces are found by a detector that may miss some (`Situ.Infer.FaceBlur`), so check the result before you share it.
   """
   import Situ.Bits, only: [known: 1]
   alias Situ.{AudioBuffer, AudioFormat}
 
   @second 1_000_000_000
 
-  @doc "The task's description."
+  @doc "Returns the task's description."
   @spec task() :: map()
   def task do
     %{
@@ -22,31 +22,31 @@ defmodule Situ.Infer.Task.Anonymise do
         blur: [
           type: {:list, :string},
           default: ["*"],
-          doc:
-            "Streams of pictures whose faces are hidden; * stands for any text. They become JPEG."
+          doc: "Image streams whose faces are hidden; * matches any text. They become JPEG."
         ],
         mute: [
           type: {:list, :string},
           default: [],
           doc:
-            "Spans in which all sound is silent, in seconds since the session's beginning: 12.5-14."
+            "Time spans in which all audio is muted, in seconds since the start of the session: 12.5-14."
         ],
         drop: [
           type: {:list, :string},
           default: [],
-          doc: "Streams that are left out; * stands for any text."
+          doc: "Streams that are left out; * matches any text."
         ],
         hold: [
           type: {:range, 0.0, 60.0},
           default: 0.5,
-          doc: "Seconds that a face is hidden before it is found and after it was last found."
+          doc:
+            "How long a face is hidden before its first and after its last detection, in seconds."
         ],
         min_score: [
           type: {:range, 0.01, 0.99},
           default: 0.3,
-          doc: "How sure the detector must be of a face."
+          doc: "The minimum score of a face."
         ],
-        quality: [type: {:integer, 1, 100}, default: 90, doc: "Of the JPEG."]
+        quality: [type: {:integer, 1, 100}, default: 90, doc: "The quality of the JPEG."]
       ]
     }
   end
@@ -59,7 +59,7 @@ defmodule Situ.Infer.Task.Anonymise do
     names = for {_, info} <- kept, do: info.name
 
     for {partition, info} <- kept do
-      # A name that several partitions have keeps its partition's.
+      # A stream name that exists in several partitions is prefixed with its partition.
       name =
         if Enum.count(names, &(&1 == info.name)) > 1,
           do: "#{partition}.#{info.name}",
@@ -104,7 +104,7 @@ defmodule Situ.Infer.Task.Anonymise do
   defp later({from, to}, start), do: {start + from, start + to}
 
   @doc """
-  A span like `12.5-14` in nanoseconds; raises `Situ.Error`, `:bad_option`.
+  Parses a time span such as `12.5-14` into nanoseconds; raises `Situ.Error`, `:bad_option`.
 
       iex> Situ.Infer.Task.Anonymise.span!("12.5-14")
       {12_500_000_000, 14_000_000_000}
@@ -118,8 +118,8 @@ defmodule Situ.Infer.Task.Anonymise do
       {round(from * @second), round(to * @second)}
     else
       _ ->
-        raise Situ.Error.new(:bad_option, "#{inspect(text)} is no span of time",
-                fix: "write seconds since the session's beginning, as 12.5-14"
+        raise Situ.Error.new(:bad_option, "#{inspect(text)} is not a time span",
+                fix: "write seconds since the start of the session, such as 12.5-14"
               )
     end
   end
@@ -132,7 +132,7 @@ defmodule Situ.Infer.Task.Anonymise do
   end
 
   @doc """
-  A piece of sound that ends at `time`, silent within the spans (ns, the end excluded).
+  Mutes an audio buffer that ends at `time` within the spans (in ns, the end excluded).
 
       iex> buffer = Situ.AudioBuffer.from_samples([1, 2, 3, 4], Situ.AudioFormat.pcm(4))
       iex> muted = Situ.Infer.Task.Anonymise.muted(buffer, 1_000_000_000, [{250_000_000, 750_000_000}])
@@ -155,7 +155,7 @@ defmodule Situ.Infer.Task.Anonymise do
     %{buffer | data: data}
   end
 
-  # A frame that is silent in part is silent.
+  # A frame that is partly within a span is muted.
   defp within(frame, frames), do: frame |> max(0) |> min(frames)
 
   defp silent(data, _at, 0, _sample), do: data

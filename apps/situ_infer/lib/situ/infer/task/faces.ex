@@ -1,18 +1,17 @@
 defmodule Situ.Infer.Task.Faces do
-  @moduledoc "The batch task `faces`: where faces are in a stream of pictures, as a new partition of each session."
+  @moduledoc "The batch task `faces`. It finds faces in an image stream and writes them to a new partition per session."
 
-  @doc "The task's description."
+  @doc "Returns the task's description."
   @spec task() :: map()
   def task do
     %{
       name: "faces",
-      about:
-        "find faces in a stream of pictures, and follow them: rectangles with ids in a new partition",
+      about: "find and track faces in an image stream: rectangles with ids in a new partition",
       output: "Faces",
       options: [
-        stream: [type: :string, default: "Video", doc: "The pictures."],
+        stream: [type: :string, default: "Video", doc: "The image stream."],
         name: [type: :string, default: "Faces", doc: "The new stream."],
-        min_score: [type: {:range, 0.01, 0.99}, default: 0.5, doc: "How sure a face must be."]
+        min_score: [type: {:range, 0.01, 0.99}, default: 0.5, doc: "The minimum score of a face."]
       ]
     }
   end

@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Task.Pictures do
   @moduledoc false
-  # Streams of pictures as tasks meet them: raw, or JPEG and the like, and then decoded.
+  # Decodes the image streams of tasks if they contain encoded images such as JPEG.
 
   @spec decoded(Situ.Stream.t(), String.t(), [{String.t(), map()}]) :: Situ.Stream.t()
   def decoded(stream, name, streams) do

@@ -1,20 +1,20 @@
 defmodule Situ.Infer.Task.Transcript do
   @moduledoc """
-  The batch task `transcript`: the words of a sound stream, as a new partition of each session.
+  The batch task `transcript`. It transcribes an audio stream into a new partition of each session.
 
-  The speech model has to be there: `bin/lib/fetch-model moonshine-tiny-en` fetches it.
+  It needs the speech model, which `bin/lib/fetch-model moonshine-tiny-en` downloads.
   """
 
-  @doc "The task's description."
+  @doc "Returns the task's description."
   @spec task() :: map()
   def task do
     %{
       name: "transcript",
       about:
-        "transcribe the speech of a sound stream (English): texts with their times in a new partition",
+        "transcribe the speech of an audio stream (English): texts with their times in a new partition",
       output: "Transcript",
       options: [
-        stream: [type: :string, default: "Audio", doc: "The sound."],
+        stream: [type: :string, default: "Audio", doc: "The audio stream."],
         name: [type: :string, default: "Transcript", doc: "The new stream."]
       ]
     }

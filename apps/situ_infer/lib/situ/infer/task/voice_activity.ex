@@ -1,15 +1,15 @@
 defmodule Situ.Infer.Task.VoiceActivity do
-  @moduledoc "The batch task `voice-activity`: whether somebody speaks, as a new partition of each session."
+  @moduledoc "The batch task `voice-activity`. It writes whether somebody speaks to a new partition of each session."
 
-  @doc "The task's description."
+  @doc "Returns the task's description."
   @spec task() :: map()
   def task do
     %{
       name: "voice-activity",
-      about: "find speech in a sound stream: a stream of booleans in a new partition",
+      about: "find speech in an audio stream: a stream of booleans in a new partition",
       output: "Voice",
       options: [
-        stream: [type: :string, default: "Audio", doc: "The sound."],
+        stream: [type: :string, default: "Audio", doc: "The audio stream."],
         name: [type: :string, default: "Speaking", doc: "The new stream."]
       ]
     }

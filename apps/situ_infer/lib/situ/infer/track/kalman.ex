@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Track.Kalman do
   @moduledoc """
-  A number that moves at a velocity which changes slowly, and is measured with an error: a Kalman filter with the
-  state (value, velocity). Pure; times in seconds.
+  A Kalman filter for a measured number whose velocity changes slowly, with the state (value, velocity). Pure; times are
+  in seconds.
 
       iex> alias Situ.Infer.Track.Kalman
       iex> k = Kalman.new(0.0, 1.0, 10.0)
@@ -9,21 +9,21 @@ defmodule Situ.Infer.Track.Kalman do
       iex> {abs(k.value - 25.0) < 0.1, abs(k.velocity - 5.0) < 0.1}
       {true, true}
 
-  The noise of the acceleration is white (Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and
+  The acceleration is white noise (Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and
   Navigation", 2001, 6.3.2).
   """
   @enforce_keys [:value, :velocity, :p]
   defstruct [:value, :velocity, :p]
 
-  @typedoc "`p` is the covariance, `{value, both, velocity}`."
+  @typedoc "`p` is the covariance, `{value, both, velocity}`: two variances and, between them, their covariance."
   @type t :: %__MODULE__{value: float(), velocity: float(), p: {float(), float(), float()}}
 
-  @doc "Measured once: with an error, and a velocity about 0, of these standard deviations."
+  @doc "Builds the state after one measurement, with the standard deviations of its error and of the velocity (mean 0)."
   @spec new(float(), float(), float()) :: t()
   def new(value, error, speed),
     do: %__MODULE__{value: value, velocity: 0.0, p: {error * error, 0.0, speed * speed}}
 
-  @doc "`dt` seconds later; `noise` is the standard deviation of the acceleration."
+  @doc "Predicts the state `dt` seconds later; `noise` is the standard deviation of the acceleration."
   @spec predict(t(), float(), float()) :: t()
   def predict(%__MODULE__{p: {a, b, c}} = k, dt, noise) do
     q = noise * noise
@@ -32,7 +32,7 @@ defmodule Situ.Infer.Track.Kalman do
     %{k | value: k.value + dt * k.velocity, p: {a, b, c + q * dt}}
   end
 
-  @doc "Measured, with an error of this standard deviation."
+  @doc "Corrects the state by a measurement with an error of this standard deviation."
   @spec correct(t(), float(), float()) :: t()
   def correct(%__MODULE__{p: {a, b, c}} = k, measured, error) do
     s = a + error * error

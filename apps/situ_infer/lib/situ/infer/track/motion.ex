@@ -1,12 +1,12 @@
 defmodule Situ.Infer.Track.Motion do
   @moduledoc false
-  # Where a box will be: middle and size as four Kalman filters. Errors are counted in the box's own size, so that near
-  # and far things are followed alike.
+  # Predicts the position of a box with four Kalman filters for its middle and size. Errors are relative to the box's
+  # size, so that near and far objects are tracked alike.
   alias Situ.Infer.Track.Kalman
   alias Situ.Rect
 
-  # A detector is off by so much of the box; a thing may move by ten of its sizes in a second, and changes its velocity
-  # by a few of them.
+  # A detector is off by this share of the box. An object may move by ten times its size in a second, and its velocity
+  # may change by a few times its size.
   @error 0.05
   @speed 10.0
   @noise 3.0
@@ -24,7 +24,7 @@ defmodule Situ.Infer.Track.Motion do
     {moving.(cx, @speed), moving.(cy, @speed), moving.(w, @size_speed), moving.(h, @size_speed)}
   end
 
-  @doc "`seconds` later."
+  @doc "Predicts the state `seconds` later."
   @spec predict(t(), float()) :: t()
   def predict({cx, cy, w, h}, seconds) do
     size = max(w.value, h.value) |> max(1.0)
@@ -43,7 +43,7 @@ defmodule Situ.Infer.Track.Motion do
      Kalman.correct(h, height, e)}
   end
 
-  @doc "The box as it should be now, in the place of `rect`."
+  @doc "Returns `rect` with the position and size that are expected now."
   @spec rect(t(), Rect.t()) :: Rect.t()
   def rect({cx, cy, w, h}, rect) do
     {width, height} = {max(w.value, 0.0), max(h.value, 0.0)}

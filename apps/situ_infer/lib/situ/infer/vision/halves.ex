@@ -1,13 +1,13 @@
 defmodule Situ.Infer.Vision.Halves do
   @moduledoc false
-  # Outputs of 16-bit floats, as networks that were exported in half precision have them, as 32-bit ones. ONNX Runtime
-  # does it: there may be a million numbers.
+  # Converts the 16-bit float outputs of networks that were exported in half precision to 32-bit floats. ONNX Runtime
+  # does the conversion, since there may be a million numbers.
   alias Situ.{Error, Tensor}
   alias Situ.Infer.{Model, Onnx}
 
   @type t :: Model.t() | nil
 
-  @doc "For an output of this type and shape; `nil` where there is nothing to do."
+  @doc "Builds the conversion for an output of this type and shape; `nil` if none is necessary."
   @spec new({atom(), tuple()}) :: {:ok, t()} | {:error, Error.t()}
   def new({:f16, shape}) do
     free = Tuple.duplicate(nil, tuple_size(shape))

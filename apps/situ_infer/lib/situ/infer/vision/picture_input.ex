@@ -5,7 +5,11 @@ defmodule Situ.Infer.Vision.PictureInput do
       default: [0.0, 0.0, 0.0],
       doc: "The mean subtracted from red, green and blue (0..1)."
     ],
-    std: [type: {:list, :number}, default: [1.0, 1.0, 1.0], doc: "The divisors after that."],
+    std: [
+      type: {:list, :number},
+      default: [1.0, 1.0, 1.0],
+      doc: "The divisors applied after `mean:`."
+    ],
     scale: [
       type: :number,
       default: 1 / 255,
@@ -15,15 +19,15 @@ defmodule Situ.Infer.Vision.PictureInput do
     fit: [
       type: {:in, [:crop, :pad]},
       default: :crop,
-      doc: "A picture that is no square: its middle, or all of it with black at the sides."
+      doc: "How to fit an image that is not square: crop it to its middle, or pad it with black."
     ]
   ]
 
   @moduledoc """
-  The picture that a network takes: a square cut out of a picture, scaled, normalised, in the network's layout.
+  Prepares the image input of a network: a square cut out of an image, scaled, normalised, in the network's layout.
 
-  Size and layout (`{n, 3, side, side}` or `{n, side, side, 3}`) are those of the model's only input with four
-  dimensions. `ImageNet` networks want `mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225]`.
+  Size and layout (`{n, 3, side, side}` or `{n, side, side, 3}`) come from the model's only input with four dimensions.
+  `ImageNet` networks need `mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225]`.
 
   ## Options
 
@@ -42,12 +46,12 @@ defmodule Situ.Infer.Vision.PictureInput do
           fit: :crop | :pad
         }
 
-  @doc "The options' schema, for those that pass them on."
+  @doc "Returns the schema of the options, for modules that pass them on."
   @spec schema() :: Situ.Options.schema()
   def schema, do: @schema
 
   @doc """
-  The model's picture input. `side:` sets the size where the file leaves it free. Errors: `:model_shape`,
+  Builds the model's image input. `side:` sets the size if the file leaves it free. Errors: `:model_shape`,
   `:bad_option`.
   """
   @spec new(Model.t(), keyword(), pos_integer() | nil) :: {:ok, t()} | {:error, Error.t()}
@@ -65,7 +69,10 @@ defmodule Situ.Infer.Vision.PictureInput do
       do: :ok,
       else:
         {:error,
-         Error.new(:bad_option, "mean: and std: are three numbers each, those of std: not 0")}
+         Error.new(
+           :bad_option,
+           "mean: and std: must be three numbers each, and std: must not contain 0"
+         )}
   end
 
   defp input(model, side) do
@@ -93,14 +100,14 @@ defmodule Situ.Infer.Vision.PictureInput do
         "#{name}: #{type} #{inspect(s)}"
       end)
 
-    Error.new(:model_shape, "model #{model.name} does not take one square picture",
+    Error.new(:model_shape, "model #{model.name} does not take one square image",
       why:
-        "its inputs are #{shapes}; wanted is f32 or f16 {n, 3, side, side} or {n, side, side, 3}",
-      fix: "where the file leaves the size free, give side:; else use Situ.Infer.OnnxModel"
+        "its inputs are #{shapes}; it must be f32 or f16 {n, 3, side, side} or {n, side, side, 3}",
+      fix: "if the file leaves the size free, give side:; otherwise use Situ.Infer.OnnxModel"
     )
   end
 
-  # Normalising and laying out a million numbers is work for the library that runs the network.
+  # ONNX Runtime also normalises and rearranges the pixels, since there may be a million numbers.
   defp glue(layout, type, side, opts) do
     {mean, std} =
       if opts[:order] == :bgr,
@@ -132,7 +139,7 @@ defmodule Situ.Infer.Vision.PictureInput do
     Model.from_bytes(bytes, "picture input", warm_up: 1, sessions: 1)
   end
 
-  @doc "The network's input for a picture of an 8-bit format, and the patch that maps what it finds back."
+  @doc "Returns the network's input for an image of an 8-bit format, and the patch that maps results back to the image."
   @spec tensor(t(), Image.t()) :: {:ok, Tensor.t(), Patch.t()} | {:error, Error.t()}
   def tensor(%__MODULE__{} = input, %Image{width: w, height: h} = image) do
     side = if input.fit == :pad, do: max(w, h), else: min(w, h)

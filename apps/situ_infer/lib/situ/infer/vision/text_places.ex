@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Vision.TextPlaces do
   @moduledoc """
-  Where text is, out of a map that says for each pixel how likely it belongs to text: connected stretches, the narrowest
-  rectangle around each, a little wider. Pure.
+  Finds text regions in a map of each pixel's probability of being text. For each connected region it returns the
+  narrowest rectangle around it, slightly enlarged. Pure.
 
       iex> row = fn ones -> for x <- 0..9, into: <<>>, do: <<if(x in ones, do: 0.9, else: 0.0)::float-native-32>> end
       iex> map = row.([]) <> row.(2..7) <> row.(2..7) <> row.(2..7) <> row.([])
@@ -9,8 +9,8 @@ defmodule Situ.Infer.Vision.TextPlaces do
       iex> {place.center, Float.round(place.score, 1), place.width > place.height}
       {{4.5, 2.0}, 0.9, true}
 
-  A rectangle may be rotated: `right` is the direction of reading, `width` along it, `height` across. A rectangle much
-  higher than wide is read downwards.
+  A rectangle may be rotated: `right` is the reading direction, `width` is along it and `height` across it. A rectangle
+  that is much higher than wide is read downwards.
   """
   import Situ.Bits, only: [known: 1]
   alias Situ.Tensor
@@ -21,13 +21,18 @@ defmodule Situ.Infer.Vision.TextPlaces do
       default: 0.3,
       doc: "Pixels above this probability are text."
     ],
-    min_score: [type: {:range, 0, 1}, default: 0.5, doc: "The mean of a place's pixels at least."],
+    min_score: [type: {:range, 0, 1}, default: 0.5, doc: "The minimum mean of a region's pixels."],
     wider: [
       type: {:range, 0, 5},
       default: 1.6,
-      doc: "By how much of area over circumference a rectangle grows on each side."
+      doc:
+        "How far a rectangle grows on each side, as a factor of its area over its circumference."
     ],
-    min_side: [type: {:range, 1, 100}, default: 3, doc: "Narrower rectangles are noise, pixels."]
+    min_side: [
+      type: {:range, 1, 100},
+      default: 3,
+      doc: "The minimum side of a rectangle, in pixels."
+    ]
   ]
   @most 1_000
 
@@ -40,7 +45,7 @@ defmodule Situ.Infer.Vision.TextPlaces do
         }
 
   @doc """
-  The places in a map of the shape `{1, 1, height, width}`, in its pixels, at most #{@most}.
+  Returns the regions in a map of the shape `{1, 1, height, width}`, in its pixels, at most #{@most}.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -55,7 +60,7 @@ defmodule Situ.Infer.Vision.TextPlaces do
     |> Enum.flat_map(&place(&1, opts))
   end
 
-  # The runs of a row: {first, last, sum of likelihoods}.
+  # Collects the runs of each row: {first, last, sum of probabilities}.
   defp rows(<<>>, _width, _threshold, _y, rows), do: Enum.reverse(rows)
 
   defp rows(data, width, threshold, y, rows) do
@@ -81,7 +86,7 @@ defmodule Situ.Infer.Vision.TextPlaces do
 
   defp runs(<<>>, _x, _threshold, nil, found), do: Enum.reverse(found)
 
-  # Runs of neighbouring rows that touch, also at a corner, belong together.
+  # Runs of neighbouring rows that touch, even at a corner, belong to the same region.
   defp connect(rows) do
     {parents, _above, all} =
       Enum.reduce(rows, {%{}, [], []}, fn {y, runs}, {parents, above, all} ->
@@ -168,7 +173,7 @@ defmodule Situ.Infer.Vision.TextPlaces do
   defp turn(point, kept), do: [point | kept]
   defp cross({ax, ay}, {bx, by}, {cx, cy}), do: (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
-  # One side of the narrowest rectangle lies along a side of the hull.
+  # One side of the narrowest rectangle is parallel to a side of the hull.
   defp narrowest(hull) do
     hull
     |> Enum.zip(tl(hull) ++ [hd(hull)])
@@ -200,7 +205,7 @@ defmodule Situ.Infer.Vision.TextPlaces do
     %{rectangle | width: w + by, height: h + by}
   end
 
-  # One reads to the right, not upside down; and down, where it is much higher than wide.
+  # Text is read to the right and not upside down, and downwards if the rectangle is much higher than wide.
   defp upright(%{right: {ux, uy}, width: w, height: h} = rectangle) do
     {{ux, uy}, w, h} = if abs(ux) >= abs(uy), do: {{ux, uy}, w, h}, else: {{-uy, ux}, h, w}
     {ux, uy} = if ux < 0, do: {-ux, -uy}, else: {ux, uy}

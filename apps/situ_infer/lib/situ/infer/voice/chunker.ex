@@ -1,13 +1,13 @@
 defmodule Situ.Infer.Voice.Chunker do
   @moduledoc false
-  # Cuts 16 kHz mono sound into chunks of a fixed number of samples, as 32-bit floats with the time of each chunk's
-  # end. A gap in the sound drops the rest before it: a chunk never spans one.
+  # Cuts 16 kHz mono audio into chunks of a fixed number of samples, as 32-bit floats with the time of each chunk's end.
+  # A gap in the audio drops the incomplete chunk before it, so a chunk never spans a gap.
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Infer.Samples
 
   @rate 16_000
   @sample_ns 62_500
-  # Devices' times jitter by a few milliseconds; a hole is more than that.
+  # The times of devices jitter by a few milliseconds; a gap is longer than that.
   @gap_ns 100_000_000
 
   @enforce_keys [:samples]
@@ -15,7 +15,7 @@ defmodule Situ.Infer.Voice.Chunker do
 
   def new(samples), do: %__MODULE__{samples: samples}
 
-  @doc "Chunks `{end_time, floats}` of the next buffer, which ended at `time`, and whether there was a gap before it."
+  @doc "Adds the buffer that ended at `time`; returns its chunks `{end_time, floats}`, and whether a gap preceded it."
   @spec push(%__MODULE__{}, AudioBuffer.t(), Situ.Time.t()) ::
           {:ok, [{Situ.Time.t(), binary()}], gap? :: boolean(), %__MODULE__{}}
           | {:error, Error.t()}
@@ -31,10 +31,10 @@ defmodule Situ.Infer.Voice.Chunker do
     end
   end
 
-  @doc "How long one chunk is, in nanoseconds."
+  @doc "Returns the length of one chunk in nanoseconds."
   def length_ns(%__MODULE__{samples: samples}), do: samples * @sample_ns
 
-  @doc "Root mean square of a chunk of floats."
+  @doc "Computes the root mean square of a chunk of floats."
   @spec level(binary()) :: float()
   def level(floats), do: :math.sqrt(power(floats, 0.0) / max(div(byte_size(floats), 4), 1))
 
@@ -49,7 +49,7 @@ defmodule Situ.Infer.Voice.Chunker do
 
   defp cut(rest, _size, chunks), do: {chunks, :binary.copy(rest)}
 
-  # Newest first in, oldest first out. Times always grow, also when a device's clock steps back.
+  # Takes the newest chunk first and returns the oldest first. Times always increase, even if a device clock steps back.
   defp stamp(newest_first, end_time, chunker) do
     step = length_ns(chunker)
 
@@ -75,7 +75,7 @@ defmodule Situ.Infer.Voice.Chunker do
     {:error,
      Error.new(
        :bad_audio_format,
-       "voice activity takes 16 kHz mono sound, got #{inspect(format)}",
+       "voice activity takes 16 kHz mono audio, got #{inspect(format)}",
        fix: "put Situ.Audio.resample(16_000) in front of it"
      )}
   end

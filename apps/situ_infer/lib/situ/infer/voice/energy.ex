@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Voice.Energy do
   @moduledoc false
-  # How far the level stands above the noise, as a probability. The noise floor falls at once and rises slowly, so
-  # that speech, which always has gaps, does not lift it, while a steady noise becomes the floor within a few seconds.
+  # Converts the level above the noise floor to a probability. The floor falls immediately and rises slowly. Speech
+  # always has gaps and does not lift it, while steady noise becomes the floor within a few seconds.
   @behaviour Situ.Infer.Voice.Detector
 
   @chunk_s 0.032
@@ -19,7 +19,7 @@ defmodule Situ.Infer.Voice.Energy do
   @impl true
   def step(energy, _chunk, level) do
     db = max(20 * :math.log10(max(level, 1.0e-6)), @quietest_db)
-    # At the beginning nothing is known of the noise: the first sound is taken for it.
+    # The noise is unknown at the start, so the first level is taken as the floor.
     floor = min(db, (energy.floor_db || db) + energy.rise_db_per_s * @chunk_s)
     p = 1.0 / (1.0 + :math.exp(-(db - floor - energy.above_db) / 2.0))
     {:ok, p, %{energy | floor_db: floor}}

@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Voice.Silero do
   @moduledoc false
-  # Silero's network over chunks of 512 samples. It remembers through a state tensor, and sees the last 64 samples of
-  # the chunk before: the caller keeps both.
+  # Silero's network over chunks of 512 samples. Its memory is a state tensor, and it also needs the last 64 samples of
+  # the previous chunk; both are kept in this state.
   @behaviour Situ.Infer.Voice.Detector
 
   alias Situ.Infer.Model
@@ -18,7 +18,7 @@ defmodule Situ.Infer.Voice.Silero do
     outputs: %{"output" => {:f32, {nil, 1}}}
   ]
 
-  # The network has a branch per rate: warming up must take the one that will be used.
+  # The network has a branch per sample rate, so the warm-up must take the branch that will be used.
   @rate Macro.escape(Tensor.from_list([16_000], :s64, {}))
 
   @enforce_keys [:model]

@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.Azure.Voice do
   @moduledoc """
-  Text to speech by Azure's speech service; options and errors are those of `Situ.Infer.Speech.Azure`.
+  Text to speech with Azure's speech service. It has the same options and errors as `Situ.Infer.Speech.Azure`.
 
       azure = [synthesizer: Situ.Infer.Speech.Azure.Voice, synthesizer_options: [region: "westeurope"]]
       Situ.via(text, Situ.Infer.SpeechSynthesizer, azure).out

@@ -1,8 +1,8 @@
 defmodule Situ.Infer.Speech.Espeak.Frames do
   @moduledoc """
-  Reads what the program `situ_speak` writes: sound, and marks of sentences, words and sounds. Pure.
+  Parses the output of the program `situ_speak`: audio, and marks of sentences, words and phonemes. Pure.
 
-  A frame is a tag, the size of what follows (32 bits, little endian), and that; the tags are listed in
+  A frame consists of a tag, the size of the payload (32 bits, little endian), and the payload. The tags are listed in
   `native/situ_speak/src/main.rs`.
 
       iex> bytes = <<"r", 4::little-32, 1000::little-32, "w", 12::little-32, 1::little-32, 3::little-32, 2::little-32,
@@ -14,7 +14,7 @@ defmodule Situ.Infer.Speech.Espeak.Frames do
   alias Situ.{AudioBuffer, AudioFormat}
   alias Situ.Infer.Speech.Mark
 
-  @doc "The sound and marks; `:error` when the bytes are cut short or of another kind."
+  @doc "Returns the audio and the marks, or `:error` if the bytes are truncated or have a different format."
   @spec parse(binary(), String.t()) :: {:ok, AudioBuffer.t(), [Mark.t()]} | :error
   def parse(<<"r", 4::little-32, rate::little-32, rest::binary>>, text)
       when rate in 1..1_000_000 do
@@ -51,7 +51,7 @@ defmodule Situ.Infer.Speech.Espeak.Frames do
 
   defp frames(_, _sound, _events), do: :error
 
-  # Each lasts to the next of its kind; a word also ends where a pause begins.
+  # Each mark lasts until the next mark of its kind; a word also ends at a pause.
   defp marks([], _frames, _rate, _text), do: []
 
   defp marks([{kind, at, what} | later], frames, rate, text) do
@@ -59,7 +59,7 @@ defmodule Situ.Infer.Speech.Espeak.Frames do
       Enum.find_value(later, frames, fn event -> ends?(kind, event, at) && elem(event, 1) end)
 
     ns = &div(&1 * 1_000_000_000, rate)
-    # The library may report marks behind the end of the sound; they go to its end.
+    # The library may report marks after the end of the audio; they are moved to its end.
     {from, to} = {min(at, frames), min(max(ends, at), frames)}
     rest = marks(later, frames, rate, text)
 
@@ -71,7 +71,7 @@ defmodule Situ.Infer.Speech.Espeak.Frames do
   end
 
   defp ends?(kind, {kind, _, _}, _at), do: true
-  # The sounds of a word are named after it; silence among them is its end.
+  # The phonemes of a word follow its mark; an empty phoneme is silence and ends the word.
   defp ends?(:word, {:phoneme, at, ""}, from), do: at > from
   defp ends?(_kind, _event, _at), do: false
 

@@ -1,9 +1,9 @@
 defmodule Situ.Infer.Speech.Hibari.Phonemes do
   @moduledoc """
-  How English text is pronounced, in the signs that Hibari was trained with.
+  Converts English text to the phoneme symbols that Hibari was trained with.
 
-  espeak-ng says it in the International Phonetic Alphabet; diphthongs and some other sounds have one sign each here,
-  as in Kokoro's alphabet. Punctuation stays, since the voice follows it.
+  espeak-ng transcribes the text in the International Phonetic Alphabet. Diphthongs and some other phonemes are then
+  replaced by single symbols, as in Kokoro's alphabet. Punctuation is kept because it affects the intonation.
 
       iex> Situ.Infer.Speech.Hibari.Phonemes.translate("həlˈo^ʊ d^ʒˈɔ^ɪ")
       "həlˈO ʤˈY"
@@ -42,7 +42,7 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
     {"\u0329", ""}
   ]
 
-  @doc "Whether espeak-ng is there. Error: `:no_espeak`."
+  @doc "Checks that espeak-ng is installed; the error is `:no_espeak`."
   @spec ready() :: :ok | {:error, Error.t()}
   def ready do
     if System.find_executable("espeak-ng"),
@@ -50,12 +50,12 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
       else:
         {:error,
          Error.new(:no_espeak, "the program espeak-ng is not installed",
-           why: "it says how words are pronounced",
+           why: "it determines the pronunciation of words",
            fix: "install it: apt-get install espeak-ng"
          )}
   end
 
-  @doc "The sentences of a text, each as one row of signs; those without words are left out."
+  @doc "Splits a text into sentences and converts each to a string of phonemes; sentences without words are dropped."
   @spec sentences(String.t()) :: {:ok, [String.t()]} | {:error, Error.t()}
   def sentences(text) do
     sentences = String.split(text, ~r/(?<=[.!?…])\s+|\n+/u, trim: true)
@@ -93,9 +93,9 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
   end
 
   defp failed(status),
-    do: Error.new(:synthesis_failed, "espeak-ng ended with status #{status}")
+    do: Error.new(:synthesis_failed, "espeak-ng exited with status #{status}")
 
-  @doc "Signs of the International Phonetic Alphabet, as `espeak-ng --ipa --tie=^` writes them, in Hibari's."
+  @doc "Converts the phonetic alphabet written by `espeak-ng --ipa --tie=^` to Hibari's symbols."
   @spec translate(String.t()) :: String.t()
   def translate(ipa) do
     Enum.reduce(@tied, ipa, fn {from, to}, signs -> String.replace(signs, from, to) end)

@@ -1,11 +1,12 @@
 defmodule Situ.Infer.Speech.Hibari.Vocoder do
   @moduledoc """
-  Sound out of what Hibari's network says: 80 spectra a second, each a voiced part (`lh`, `theta`: magnitude and phase
-  against pulses at the pitch `f0`), noise (`ln`) and a part with phases of its own (`lr`, `phi`).
+  Converts the output of Hibari's network to audio. The output has 80 spectra per second. Each consists of a voiced part
+  (`lh`, `theta`: magnitude and phase relative to pulses at the pitch `f0`), noise (`ln`) and a part with independent
+  phases (`lr`, `phi`).
 
-  The short-time Fourier transform of the pulses and the inverse one of the sum are convolutions with the same waves;
-  ONNX Runtime does them, in a graph that is written here. Windows of 1200 samples, every 300, at 24 kHz. The noise is
-  the same for the same text.
+  The short-time Fourier transform of the pulses and the inverse transform of the sum are convolutions with the same
+  waves. ONNX Runtime computes them in a graph that is built here, with windows of 1200 samples every 300 samples at
+  24 kHz. The noise is the same for the same text.
   """
   alias Situ.{Error, Tensor}
   alias Situ.Infer.{Model, Onnx}
@@ -14,7 +15,7 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
   @window 1_200
   @hop 300
   @bins 601
-  # So many random numbers, and where in them the noise of the next bin begins.
+  # The number of random samples, and the offset between the noise of one bin and the next.
   @noise 131_072
   @stride 811
   @most_frames 8_000
@@ -23,11 +24,11 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
   defstruct @enforce_keys
   @type t :: %__MODULE__{model: Model.t(), noise: binary()}
 
-  @doc "Frames of sound a second."
+  @doc "Returns the sample rate in Hz."
   @spec rate() :: pos_integer()
   def rate, do: @rate
 
-  @doc "Makes it ready."
+  @doc "Builds and loads the model, and generates the noise."
   @spec load() :: {:ok, t()} | {:error, Error.t()}
   def load do
     with {:ok, model} <-
@@ -35,7 +36,7 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
          do: {:ok, %__MODULE__{model: model, noise: noise()}}
   end
 
-  @doc "The sound, 32-bit floats, of the network's outputs by their names."
+  @doc "Converts the network's outputs, given by name, to audio as 32-bit floats."
   @spec sound(t(), %{String.t() => Tensor.t()}) :: {:ok, binary()} | {:error, Error.t()}
   def sound(%__MODULE__{} = vocoder, %{"f0" => %Tensor{shape: {1, frames}}} = spectrum)
       when frames in 3..@most_frames do
@@ -54,14 +55,14 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
 
   def sound(%__MODULE__{}, %{"f0" => %Tensor{shape: shape}}) do
     {:error,
-     Error.new(:synthesis_failed, "the voice gave #{inspect(shape)} spectra for a sentence",
-       fix: "give it in shorter sentences"
+     Error.new(:synthesis_failed, "unexpected spectra of shape #{inspect(shape)} for a sentence",
+       fix: "use shorter sentences"
      )}
   end
 
   @doc """
-  The pulses of a pitch (Hz, one number a frame of #{@hop} samples), as 32-bit floats: all harmonics below 11 kHz at
-  the same strength; nothing below 40 Hz, which stands for no voice.
+  Returns the pulses of a pitch (Hz, one number per frame of #{@hop} samples) as 32-bit floats. They contain all
+  harmonics below 11 kHz at the same strength. A pitch below 40 Hz means unvoiced and gives no pulses.
   """
   @spec pulses(Tensor.t()) :: binary()
   def pulses(%Tensor{} = f0) do
@@ -80,7 +81,7 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
 
   defp frame(@hop, _before, _now, _next, phase, samples), do: {Enum.reverse(samples), phase}
 
-  # The pitch goes straight from the middle of a frame to the middle of the next.
+  # Interpolates the pitch linearly from the middle of a frame to the middle of the next.
   defp frame(j, before, now, next, phase, samples) do
     u = (j + 0.5) / @hop
 
@@ -95,7 +96,7 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
     frame(j + 1, before, now, next, phase, [<<x::float-native-32>> | samples])
   end
 
-  # The sum of cosines up to the last harmonic, in closed form.
+  # Computes the sum of cosines up to the last harmonic in closed form.
   defp pulse(t, hz) do
     harmonics = floor(11_000 / hz) + 0.5
     s = 2 * :math.sin(t / 2)
@@ -138,7 +139,7 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
     )
   end
 
-  # The transform of the pulses; the last window is beyond the frames.
+  # Computes the transform of the pulses; the last window extends past the frames and is dropped.
   defp pulses_nodes do
     [
       {"Pad", ["pulses", "pads"], ["padded"], [mode: "reflect"]},
@@ -150,7 +151,7 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
     ]
   end
 
-  # A magnitude, given as its logarithm, and how far it is turned: two rows of numbers.
+  # Converts a log magnitude and a phase to real and imaginary parts.
   defp part(name, turned) do
     turned ++
       [
@@ -182,7 +183,7 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
     ]
   end
 
-  # Windows laid over one another, over the sum of their squares.
+  # Overlap-adds the windows, and divides by the sum of their squares.
   defp inverse_nodes do
     [
       {"Mul", ["whole", "scale"], ["scaled"], []},
@@ -222,7 +223,7 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
     }
   end
 
-  # cos and -sin of each bin, under the window. One round of angles is enough for all.
+  # Returns the windowed cos and -sin of each bin. All bins share one table of angles for a full period.
   defp waves do
     angles = for n <- 0..(@window - 1), do: 2 * :math.pi() * n / @window
     cosines = angles |> Enum.map(&:math.cos/1) |> List.to_tuple()

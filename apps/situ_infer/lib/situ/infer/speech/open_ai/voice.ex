@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Speech.OpenAI.Voice do
   @moduledoc """
-  Text to speech by a service that speaks OpenAI's protocol (`/audio/speech`); options and errors are those of
-  `Situ.Infer.Speech.OpenAI`.
+  Text to speech with a service that implements OpenAI's protocol (`/audio/speech`). It has the same options and errors
+  as `Situ.Infer.Speech.OpenAI`.
 
       Situ.via(text, Situ.Infer.SpeechSynthesizer, synthesizer: Situ.Infer.Speech.OpenAI.Voice).out
   """
@@ -29,7 +29,7 @@ defmodule Situ.Infer.Speech.OpenAI.Voice do
              [{"content-type", "application/json"}],
              Situ.JSON.encode(body)
            ) do
-      # Half a sample at the end of a stream is none.
+      # An incomplete sample at the end of the stream is dropped.
       AudioBuffer.new(
         format: format,
         data: binary_part(data, 0, byte_size(data) - rem(byte_size(data), 2))

@@ -1,17 +1,17 @@
 defmodule Situ.Infer.Speech.PocketSphinx.Output do
   @moduledoc """
-  Reads what PocketSphinx's programs write: words with their times, alternatives, keywords. Pure.
+  Parses the output of PocketSphinx's programs: words with times, alternatives, keywords. Pure.
 
       iex> line = "sound S 0 T -10 A -8 L -2 0 -3 0 <sil> 20 -5 0 ten(2) 60 -2 0 <sil> 90"
       iex> Situ.Infer.Speech.PocketSphinx.Output.segments(line).words
       [%{text: "ten", from: 200_000_000, to: 600_000_000}]
   """
 
-  # Times come in frames of 10 ms.
+  # The programs report times in frames of 10 ms.
   @frame 10_000_000
-  # Scores are logarithms to the base 1.0001, in units of 1024; the program's own scale for confidence is 20.
+  # Scores are logarithms to base 1.0001 in units of 1024; the program itself uses a scale of 20 for confidence.
   @scale 1024 * :math.log(1.0001) / 20
-  # Sentences of a grammar lie above this a frame, other speech below (recordings of models.md: -6 and -13).
+  # Sentences of a grammar score above this value per frame, other speech below (recordings of models.md: -6 and -13).
   @middle -9.5
   @width 1.5
 
@@ -29,7 +29,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
           alternatives: [%{text: String.t(), confidence: float()}]
         }
 
-  @doc "A line of `-hypseg`: words with times (ns), the acoustic score of the whole and how many frames it has."
+  @doc "Parses a line of `-hypseg`: words with times (ns), the total acoustic score, and the number of frames."
   @spec segments(String.t()) :: said()
   def segments(line) do
     case String.split(line) do
@@ -43,7 +43,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
     end
   end
 
-  # Each is where it begins, two scores, the word; the next one's beginning is its end.
+  # Each word has its start, two scores and the text; the start of the next word is its end.
   defp words([from, _, _, word | [to | _] = rest], words) do
     case spoken(word) do
       nil -> words(rest, words)
@@ -54,7 +54,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
   defp words([frames | _], words), do: {Enum.reverse(words), integer(frames)}
   defp words([], words), do: {Enum.reverse(words), 0}
 
-  # Silence, noise and the joints of a grammar are no words; `ten(2)` is another way to say `ten`.
+  # Silence, noise and grammar markers are not words; `ten(2)` is an alternative pronunciation of `ten`.
   defp spoken(<<first, _::binary>>) when first in ~c"<([+", do: nil
   defp spoken(word), do: word |> String.split("(") |> hd()
 
@@ -68,7 +68,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
   end
 
   @doc """
-  The lines of an n-best list: texts with their best scores, best first.
+  Parses the lines of an n-best list: texts with their best scores, best first.
 
       iex> Situ.Infer.Speech.PocketSphinx.Output.alternatives("two four -7\\nfour -3\\nfour -9\\n")
       [{"four", -3}, {"two four", -7}]
@@ -87,7 +87,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
     |> Enum.uniq_by(&elem(&1, 0))
   end
 
-  @doc "How much of the likelihood of bare phones the words keep, 0..1."
+  @doc "Returns the share of the bare phones' likelihood that the words keep, as a confidence of 0..1."
   @spec confidence(said(), said()) :: float()
   def confidence(%{frames: frames} = said, phones) when frames > 0 do
     kept = (said.score - phones.score) / frames
@@ -96,7 +96,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
 
   def confidence(_said, _phones), do: 0.0
 
-  @doc "The share of what was said among it and its alternatives, 0..1."
+  @doc "Returns the weight of the recognized sentence relative to all alternatives, 0..1."
   @spec share(said(), [{String.t(), integer()}]) :: float()
   def share(said, others) do
     best = for {_, score} <- others, reduce: nil, do: (most -> max(score, most || score))
@@ -105,13 +105,13 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
     all = weights |> Enum.map(&elem(&1, 1)) |> Enum.sum()
     own = Enum.find_value(weights, 0.0, fn {text, w} -> text == said.text && w end)
 
-    # A sentence missing from its own list of alternatives came from another pass of the recogniser.
+    # A sentence that is missing from its own list of alternatives was found in another pass of the recognizer.
     if own > 0, do: own / all, else: 1 / (1 + all)
   end
 
   defp weight(score, best), do: :math.exp(max((score - best) * @scale, -500.0))
 
-  @doc "The result of a recogniser: `most` alternatives, each as likely beside the best as its score says."
+  @doc "Builds the recognizer's result with at most `most` alternatives, weighted by their scores relative to the best."
   @spec result(said(), [{String.t(), integer()}], float(), non_neg_integer()) :: result()
   def result(said, others, confidence, most) do
     top = Enum.find_value(others, fn {text, score} -> text == said.text && score end)
@@ -131,7 +131,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
   end
 
   @doc """
-  Parses the output of the keyword search: the phrase, then a line with the times for each occurrence.
+  Parses the output of the keyword search: the phrase, followed by a line with the times of each occurrence.
 
       iex> heard = Situ.Infer.Speech.PocketSphinx.Output.keyword("forward \\nforward 0.630 1.210 0.93\\n")
       iex> {heard.text, heard.confidence, heard.words}

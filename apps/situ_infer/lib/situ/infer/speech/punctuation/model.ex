@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Speech.Punctuation.Model do
   @moduledoc """
-  Punctuation by a language model. An answer with other words than the text is not taken: then the text comes back by
-  `Situ.Infer.Speech.Punctuation.Rules`. Options and errors are those of `Situ.Chat`.
+  Adds punctuation with a language model. If the model changes the words, its output is discarded and
+  `Situ.Infer.Speech.Punctuation.Rules` is used instead. It has the same options and errors as `Situ.Chat`.
   """
   @behaviour Situ.Infer.Speech.Punctuation
   alias Situ.{Chat, Error}

@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Speech.Punctuation.Rules do
   @moduledoc """
-  English sentences by rules: a capital first, "I" and days and months with theirs, a question mark after what begins
-  like a question, else a full stop. Text that ends with a mark already stays as it is.
+  Adds English punctuation with rules: capitalizes the first word, "I", days and months, and ends the text with a
+  question mark if it begins like a question, or else with a period. Existing punctuation at the end is kept.
 
       iex> {:ok, rules} = Situ.Infer.Speech.Punctuation.Rules.load([])
       iex> Situ.Infer.Speech.Punctuation.Rules.punctuate(rules, "what day is it on monday i wonder")

@@ -1,8 +1,8 @@
 defmodule Situ.Infer.Speech.WakeWord.Keyword do
   @moduledoc """
-  Hears a name by its sounds: PocketSphinx's search for a keyword. Names of three syllables and more are safer.
+  Detects a name by its sound with PocketSphinx's keyword search. Names of three or more syllables are more reliable.
 
-  Options: `phrase:`, English words of its dictionary, and `threshold:` as of `Situ.Infer.Speech.PocketSphinx`.
+  Options: `phrase:` (English words of its dictionary) and `threshold:` (see `Situ.Infer.Speech.PocketSphinx`).
   """
   @behaviour Situ.Infer.Speech.WakeWord
   alias Situ.Infer.Speech.PocketSphinx

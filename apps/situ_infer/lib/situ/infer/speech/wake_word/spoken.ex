@@ -1,30 +1,30 @@
 defmodule Situ.Infer.Speech.WakeWord.Spoken do
   @schema [
-    phrase: [type: :string, required: true, doc: "The name, one or more words."],
+    phrase: [type: :string, required: true, doc: "The name, consisting of one or more words."],
     recognizer: [
       type: :module,
       default: Situ.Infer.Speech.Moonshine,
-      doc: "The module that recognises, a `Situ.Infer.Speech.Recognizer`."
+      doc: "The module that recognizes speech, a `Situ.Infer.Speech.Recognizer`."
     ],
-    recognizer_options: [type: :keyword, default: [], doc: "For its `load/1`."],
+    recognizer_options: [type: :keyword, default: [], doc: "Options for its `load/1`."],
     alike: [
       type: {:range, 0, 1},
       default: 0.88,
-      doc: "How alike a word must be written to one of the name (Jaro's measure; 1: the same)."
+      doc: "The minimum Jaro similarity of a word to a word of the name; 1 requires equality."
     ]
   ]
 
   @moduledoc """
-  Hears a name among the words that a recogniser writes; one letter of it may be wrong in six.
+  Detects a name among recognized words; about one wrong letter in six is tolerated.
 
       iex> Situ.Infer.Speech.WakeWord.Spoken.among("Hey, Komputer, stop!", ["computer"], 0.88)
       {1, 3}
       iex> Situ.Infer.Speech.WakeWord.Spoken.among("My company is open.", ["computer"], 0.88)
       nil
 
-  No measure of letters tells a name written wrongly from another word that is written nearly so: "Komputer" differs
-  from "computer" as much as "commuter" does, and "compute" less. Choose a name that is unlike other words, or set
-  `alike: 1`, where such words are said and the recogniser is good.
+  Spelling alone cannot distinguish a misspelled name from a similar word: "Komputer" differs from "computer" as much as
+  "commuter" does, and "compute" differs less. Choose a name that is unlike other words. If similar words occur and the
+  recognizer is accurate, set `alike: 1`.
 
       iex> Situ.Infer.Speech.WakeWord.Spoken.among("The commuter train was late.", ["computer"], 0.88)
       {1, 5}
@@ -54,7 +54,7 @@ defmodule Situ.Infer.Speech.WakeWord.Spoken do
     end
   end
 
-  defp name([]), do: {:error, Error.new(:bad_option, "the phrase has no words in it")}
+  defp name([]), do: {:error, Error.new(:bad_option, "the phrase contains no words")}
   defp name(words), do: {:ok, words}
 
   @impl true
@@ -73,7 +73,7 @@ defmodule Situ.Infer.Speech.WakeWord.Spoken do
     end
   end
 
-  # Recognisers that know times of words count them as they are written.
+  # Recognizers that report word times list the words in the order of the text.
   defp span(words, place, spoken, sound) do
     case Enum.slice(words, place, length(spoken.name)) do
       [first | _] = found -> %{from: first.from, to: List.last(found).to}
@@ -81,7 +81,7 @@ defmodule Situ.Infer.Speech.WakeWord.Spoken do
     end
   end
 
-  @doc "At which word of a text the name begins, and how many words the text has; `nil` when it is not there."
+  @doc "Returns the position of the name in a text, in words, and the number of words; `nil` if it is not found."
   @spec among(String.t(), [String.t()], number()) :: {non_neg_integer(), pos_integer()} | nil
   def among(text, name, alike) do
     words = Utterance.words(text)

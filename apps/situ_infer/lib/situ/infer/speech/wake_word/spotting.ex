@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.WakeWord.Spotting do
   @moduledoc false
-  # A spotter as a recogniser that knows one phrase: so it is given the same stretches of speech.
+  # Adapts a spotter to the recognizer interface, so that it receives the same intervals of speech.
   @behaviour Situ.Infer.Speech.Recognizer
 
   @impl true
