@@ -1,10 +1,10 @@
 defmodule Situ.Geo do
   @moduledoc """
-  Places on the Earth: from latitude and longitude (degrees) and height above the ellipsoid (metres) to metres, and
-  back.
+  Converts positions on the Earth, given as latitude and longitude (degrees) and height above the ellipsoid (metres),
+  to metres and back.
 
-  The ellipsoid is that of WGS84 (NIMA TR8350.2, 2000). Local coordinates are x east, y north, z up at an origin, so a
-  track of a GPS receiver becomes points that can be drawn, measured and joined with what other sensors saw.
+  The ellipsoid is WGS84 (NIMA TR8350.2, 2000). Local coordinates are x east, y north, z up of an origin, so that the
+  track of a GPS receiver becomes points to draw, measure and join with the data of other sensors.
 
       iex> ljubljana = {46.0514, 14.5060, 300.0}
       iex> {east, north, up} = Situ.Geo.to_enu({46.0604, 14.5060, 300.0}, ljubljana)
@@ -26,11 +26,11 @@ defmodule Situ.Geo do
   @steps 10
 
   @doc """
-  Checks what came from a receiver or a file: numbers, a latitude that there is.
+  Validates a position from a receiver or a file: three numbers, with latitude and longitude in range.
 
       iex> {:error, error} = Situ.Geo.place(91, 14.5)
       iex> error.what
-      "there is no latitude of 91 degrees"
+      "the latitude 91 is outside -90..90 degrees"
   """
   @spec place(term(), term(), term()) :: {:ok, place()} | {:error, Error.t()}
   def place(latitude, longitude, height \\ 0.0) do
@@ -39,24 +39,26 @@ defmodule Situ.Geo do
         {:error,
          Error.new(
            :bad_place,
-           "a place on the Earth is three numbers, not #{inspect({latitude, longitude, height})}"
+           "expected latitude, longitude and height as numbers, got #{inspect({latitude, longitude, height})}"
          )}
 
       abs(latitude) > 90 ->
         {:error,
-         Error.new(:bad_place, "there is no latitude of #{latitude} degrees",
-           fix: "latitude comes first, then longitude"
+         Error.new(:bad_place, "the latitude #{latitude} is outside -90..90 degrees",
+           fix: "give the latitude first, then the longitude"
          )}
 
       abs(longitude) > 360 ->
-        {:error, Error.new(:bad_place, "there is no longitude of #{longitude} degrees")}
+        {:error, Error.new(:bad_place, "the longitude #{longitude} is outside -360..360 degrees")}
 
       true ->
         {:ok, {latitude * 1.0, longitude * 1.0, height * 1.0}}
     end
   end
 
-  @doc "Metres from the Earth's centre: x to latitude and longitude 0, z to the north pole."
+  @doc """
+  Returns a position in metres from the Earth's centre: x points to latitude and longitude 0, z to the north pole.
+  """
   @spec to_ecef(place()) :: Vector3.t()
   def to_ecef({latitude, longitude, height}) do
     {sp, cp} = sin_cos(latitude)
@@ -66,8 +68,8 @@ defmodule Situ.Geo do
   end
 
   @doc """
-  The place of a point given from the Earth's centre, by Bowring's formula, repeated until it stands still. Source: B.
-  R. Bowring, Transformation from spatial to geographical coordinates, 1976.
+  Returns the position of a point given in metres from the Earth's centre, by iterating Bowring's formula until it
+  converges. Source: B. R. Bowring, Transformation from spatial to geographical coordinates, 1976.
   """
   @spec from_ecef(Vector3.t()) :: place()
   def from_ecef({x, y, z}) do
@@ -90,7 +92,7 @@ defmodule Situ.Geo do
       else: latitude(at, next, second, steps - 1)
   end
 
-  @doc "A place in metres east, north and up of an origin."
+  @doc "Returns a position in metres east, north and up of an origin."
   @spec to_enu(place(), place()) :: Vector3.t()
   def to_enu(place, origin) do
     moved = Vector3.subtract(to_ecef(place), to_ecef(origin))
@@ -98,7 +100,7 @@ defmodule Situ.Geo do
     {Vector3.dot(east, moved), Vector3.dot(north, moved), Vector3.dot(up, moved)}
   end
 
-  @doc "The place that lies so many metres east, north and up of an origin."
+  @doc "Returns the position at the given metres east, north and up of an origin."
   @spec from_enu(Vector3.t(), place()) :: place()
   def from_enu({e, n, u}, origin) do
     {east, north, up} = axes(origin)
@@ -110,7 +112,7 @@ defmodule Situ.Geo do
     |> from_ecef()
   end
 
-  @doc "How the axes east, north, up of an origin lie in the frame of the Earth's centre."
+  @doc "Returns the rotation from the east, north, up axes at an origin to the axes of the Earth's centre."
   @spec rotation(place()) :: Quaternion.t()
   def rotation(origin) do
     {{ex, ey, ez}, {nx, ny, nz}, {ux, uy, uz}} = axes(origin)
@@ -124,7 +126,7 @@ defmodule Situ.Geo do
     {{-sl, cl, 0.0}, {-sp * cl, -sp * sl, cp}, {cp * cl, cp * sl, sp}}
   end
 
-  @doc "The straight distance of two places, metres: through the ground, where they are far apart."
+  @doc "Returns the straight-line distance between two positions in metres; between distant ones it passes underground."
   @spec distance(place(), place()) :: float()
   def distance(a, b), do: Vector3.distance(to_ecef(a), to_ecef(b))
 

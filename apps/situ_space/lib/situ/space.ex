@@ -1,7 +1,7 @@
 defmodule Situ.Space do
   @moduledoc """
-  Operators on streams of poses, points and other objects in space: between messages, from one to the next, in other
-  frames.
+  Operators on streams of poses, points and other 3D objects: interpolation between messages, velocity from one message
+  to the next, and changes of frame.
 
       head |> Situ.join(gaze, Situ.Space.between()) |> Situ.each(&IO.inspect/1)
       speed = Situ.Space.velocity(head)
@@ -34,16 +34,17 @@ defmodule Situ.Space do
   alias Situ.Space.{Cloud, Orientation}
 
   @doc """
-  An interpolator: the pose, ray, skeleton, point or rotation between two messages (`interpolate/3`), the same whatever
-  the timing. There is none before the first message and after the last one. Options: those of
+  Returns an interpolator for the pose, ray, skeleton, point or rotation between two messages (`interpolate/3`). The
+  result does not depend on timing. It exists only between the first and the last message. Takes the options of
   `Situ.Reproducible.adjacent/2`.
   """
   @spec between(keyword()) :: Interpolator.t()
   def between(opts \\ []), do: Situ.Reproducible.adjacent(&interpolate/3, opts)
 
   @doc """
-  Between `a` (ratio 0) and `b` (ratio 1): positions on the straight line, rotations on the shortest arc; element by
-  element of lists of one length and by key of maps. `nil` where either is `nil`, or the two are not of a kind.
+  Interpolates between `a` (ratio 0) and `b` (ratio 1): positions on the straight line, rotations on the shortest arc.
+  Lists of the same length are interpolated element by element and maps key by key. Returns `nil` if either value is
+  `nil` or their kinds differ.
 
       iex> a = Situ.Pose.identity()
       iex> b = Situ.Pose.new({2.0, 0.0, 0.0})
@@ -86,12 +87,13 @@ defmodule Situ.Space do
     kind: [
       type: {:in, [:linear, :angular, :pose]},
       default: :linear,
-      doc: "How fast it moves, how fast it turns, or (a `Situ.PoseVelocity`) both."
+      doc:
+        "Whether to compute the linear velocity, the angular one, or (as a `Situ.PoseVelocity`) both."
     ]
   ]
 
   @doc """
-  How fast a stream of poses moves, turns, or does both, from each message to the next, at the later one's time: a
+  Computes the velocity of a stream of poses from each message to the next, at the later one's time, as a
   `Situ.Velocity3` or a `Situ.PoseVelocity`.
 
   #{Situ.Options.docs(@velocity)}
@@ -128,8 +130,8 @@ defmodule Situ.Space do
   end
 
   @doc """
-  A stream of readings (`Situ.ImuReading`) as a stream of rotations: quaternions that take the sensor's axes to north,
-  west and up. See `Situ.Space.Orientation`.
+  Converts a stream of readings (`Situ.ImuReading`) to a stream of rotations: quaternions that rotate the sensor's axes
+  to north, west and up. See `Situ.Space.Orientation`.
 
   #{Situ.Options.docs(Orientation.schema())}
   """
@@ -147,9 +149,9 @@ defmodule Situ.Space do
   end
 
   @doc """
-  Moves objects from the frame of a pose to the frame in which the pose is given: poses, points, lines, rays, boxes,
-  rectangles, meshes, clouds and skeletons, and lists of them, joined with a stream of poses by `between/1` or another
-  interpolator.
+  Transforms objects from the frame of a pose to the frame in which that pose is given. Objects are poses, points,
+  lines, rays, boxes, rectangles, meshes, point clouds and skeletons, and lists of them. They are joined with the stream
+  of poses by `between/1` or another interpolator.
   """
   @spec moved(Situ.Stream.t(), Situ.Stream.t(), Interpolator.t() | nil) :: Situ.Stream.t()
   def moved(stream, poses, interpolator \\ nil) do
@@ -159,7 +161,7 @@ defmodule Situ.Space do
   end
 
   @doc """
-  One of them.
+  Transforms one object, or a list of objects, by a pose.
 
       iex> pose = Situ.Pose.new({0.0, 0.0, 1.0})
       iex> Situ.Space.move(Situ.Point3.new(1, 2, 3), pose)

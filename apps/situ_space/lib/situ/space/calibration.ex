@@ -2,7 +2,7 @@ defmodule Situ.Space.Calibration do
   @distortion [
     type: {:in, [:none, :radial, :full]},
     default: :full,
-    doc: "Which of the lens is found: nothing, k1 and k2, or these and the tangential p0 and p1."
+    doc: "The distortion to estimate: none, k1 and k2, or these and the tangential p0 and p1."
   ]
   @schema [
     distortion: @distortion,
@@ -10,22 +10,22 @@ defmodule Situ.Space.Calibration do
       type: :boolean,
       default: false,
       doc:
-        "Whether the camera's pose is found, too: then points are given in any frame, near `start:`."
+        "Whether to estimate the camera's pose as well. The points may then be in any frame close to `start:`."
     ],
     start: [
       type: {:optional, {:struct, Situ.Pose}},
       default: nil,
-      doc: "Where to begin the search for the pose; by default the identity."
+      doc: "The initial pose of the search; by default the identity."
     ],
-    rounds: [type: :pos_integer, default: 100, doc: "Steps at most."]
+    rounds: [type: :pos_integer, default: 100, doc: "The maximum number of steps."]
   ]
 
   @moduledoc """
-  A camera's lens, and where it stands, from points whose places and pixels are both known.
+  Estimates a camera's intrinsics, and optionally its pose, from points with known positions and pixels.
 
-  Nonlinear least squares over the distances between where pixels are and where the model puts them, by
-  Levenberg-Marquardt (D. Marquardt, An Algorithm for Least-Squares Estimation of Nonlinear Parameters, 1963) with
-  central differences, as \\\\psi's `CalibrateCameraIntrinsics` does it.
+  The estimate minimizes the reprojection error by nonlinear least squares, with the Levenberg-Marquardt method (D.
+  Marquardt, An Algorithm for Least-Squares Estimation of Nonlinear Parameters, 1963) and central differences, like
+  \\\\psi's `CalibrateCameraIntrinsics`.
 
       iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {520, 525}, radial: [0.05, -0.02])
       iex> points = for y <- -3..3, z <- -2..2, x <- [2.0, 3.0], do: {x, y * 0.25, z * 0.25}
@@ -39,20 +39,23 @@ defmodule Situ.Space.Calibration do
   alias Situ.Space.{Camera, LeastSquares}
 
   @doc false
-  # The option, for other ways to the same camera.
+  # Situ.Space.Chessboard offers the same option.
   def distortion, do: @distortion
 
   @type seen :: {Vector3.t(), Camera.pixel()}
-  @typedoc "`error` is the root of the mean squared distance, in pixels; `pose` is the camera's in the points' frame."
+  @typedoc """
+  `error` is the root mean square of the reprojection error in pixels; `pose` is the camera's pose in the points' frame.
+  """
   @type found :: %{intrinsics: CameraIntrinsics.t(), pose: Pose.t(), error: float()}
 
   @doc """
-  The camera of a picture of so many pixels that shows these points (x forward, y left, z up) at these pixels.
+  Estimates a camera with images of `{width, height}` pixels from points (x forward, y left, z up) and their pixels.
 
   #{Situ.Options.docs(@schema)}
 
-  Errors: `:too_few` points for what is asked for, points behind the camera, and `:not_found` where the search ends far
-  from any answer: points on one plane at right angles to the view, or pixels that belong to other points.
+  Errors: `:too_few` points for the number of parameters, points that are not in front of the camera, and `:not_found`
+  if the search does not converge: all points are on one plane at right angles to the view, or pixels belong to other
+  points.
   """
   @spec camera([seen()], {pos_integer(), pos_integer()}, keyword()) ::
           {:ok, found()} | {:error, Error.t()}
@@ -87,21 +90,25 @@ defmodule Situ.Space.Calibration do
         {:error,
          Error.new(
            :too_few,
-           "#{length(seen)} points are too few for #{count} parameters of a camera",
-           fix: "give more points, or fewer parameters: distortion: :none, pose: false"
+           "#{length(seen)} points are too few for the #{count} parameters of this camera model",
+           fix: "give more points, or estimate fewer parameters: distortion: :none, pose: false"
          )}
   end
 
   defp numbers(seen) do
     case Enum.find(seen, &(not match?({{x, y, z}, {u, v}} when is_number(x + y + z + u + v), &1))) do
-      nil -> :ok
-      bad -> {:error, Error.new(:bad_option, "not a point with its pixel: #{inspect(bad)}")}
+      nil ->
+        :ok
+
+      bad ->
+        {:error, Error.new(:bad_option, "expected a point with its pixel, got #{inspect(bad)}")}
     end
   rescue
-    ArithmeticError -> {:error, Error.new(:bad_option, "a point or a pixel is no number")}
+    ArithmeticError ->
+      {:error, Error.new(:bad_option, "a point or a pixel contains a value that is not a number")}
   end
 
-  # Two numbers for each point: how far off it is to the right and down. Who is not in front of the camera is far off.
+  # Two numbers for each point: its error to the right and down. Points that the camera cannot see get a large error.
   @far 1.0e4
   defp residuals(values, seen, model) do
     {camera, pose} = build(values, model)
@@ -139,7 +146,7 @@ defmodule Situ.Space.Calibration do
     {camera, moved(model.from, pose)}
   end
 
-  # The pose to begin with, turned by a small rotation (axis times angle) and moved.
+  # Rotates the initial pose by a small rotation (axis times angle), then moves it.
   defp moved(from, []), do: from
 
   defp moved(from, [rx, ry, rz, x, y, z]) do
@@ -152,7 +159,7 @@ defmodule Situ.Space.Calibration do
     Pose.new(Vector3.add(from.position, {x, y, z}), Quaternion.multiply(from.rotation, turn))
   end
 
-  # Off by a tenth of the picture is no answer.
+  # An error of a tenth of the image's width means that the search failed.
   defp answer(values, error, %{size: {width, _}} = model) do
     {camera, pose} = build(values, model)
     {{fx, fy}, {cx, cy}} = {camera.focal, camera.principal}
@@ -172,10 +179,10 @@ defmodule Situ.Space.Calibration do
     else
       _ ->
         {:error,
-         Error.new(:not_found, "no camera shows these points at these pixels",
-           why: "the best one found is off by #{Float.round(error, 1)} pixels",
+         Error.new(:not_found, "no camera model fits these points and pixels",
+           why: "the best model found has an error of #{Float.round(error, 1)} pixels",
            fix:
-             "look for pixels that belong to other points, give points at several depths, or a better start:"
+             "check that each pixel belongs to its point, give points at several depths, or set a better start:"
          )}
     end
   end

@@ -1,9 +1,10 @@
 defmodule Situ.Space.Camera do
   @moduledoc """
-  From points in space to pixels and back, through a lens that distorts.
+  Projects points in space to pixels and back, through a lens with distortion.
 
-  The camera looks along its x axis, y to its left, z up; pixels count from the top left corner, x to the right, y down.
-  Formulas: the pinhole camera with the rational Brown-Conrady model, as in OpenCV's and \\psi's calibrations.
+  The camera looks along its x axis, with y to its left and z up. Pixels count from the top left corner, x to the right
+  and y down. The model is the pinhole camera with rational Brown-Conrady distortion, as in the calibrations of OpenCV
+  and \\psi.
 
       iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {500, 500})
       iex> Situ.Space.Camera.project(camera, {2.0, 0.4, 0.2})
@@ -16,12 +17,12 @@ defmodule Situ.Space.Camera do
   alias Situ.{CameraIntrinsics, CameraView, Pose, Ray3, Vector3}
 
   @type pixel :: {number(), number()}
-  @typedoc "On the plane at distance 1: to the right and down, in units of that distance."
+  @typedoc "A point on the plane at distance 1, to the right and down, in units of that distance."
   @type normalized :: {float(), float()}
 
   @doc """
-  The point on the plane at distance 1, distorted by the closed form: radial by
-  `(1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5 r4 + k6 r6)`, tangential by p0 and p1.
+  Distorts a point on the plane at distance 1, in closed form: radially by
+  `(1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5 r4 + k6 r6)`, tangentially by p0 and p1.
   """
   @spec distort(CameraIntrinsics.t(), normalized()) :: normalized()
   def distort(%CameraIntrinsics{radial: {k1, k2, k3, k4, k5, k6}, tangential: {p0, p1}}, {x, y}) do
@@ -39,9 +40,9 @@ defmodule Situ.Space.Camera do
   @enough 1.0e-16
 
   @doc """
-  The point that `distort/2` moves to this one, by Newton's method from the point itself, at most 100 steps, until the
-  squared error is below 1e-16. `:error` where it does not converge, or only on the far side of the lens, where the
-  model mirrors: beyond the field in which it can be inverted.
+  Returns the point that `distort/2` moves to this one. Newton's method starts at the point itself and takes at most 100
+  steps until the squared error is below 1e-16. Returns `:error` if it does not converge, or converges only on the far
+  side of the lens, where the model mirrors: there the distortion cannot be inverted.
   """
   @spec undistort(CameraIntrinsics.t(), normalized()) :: {:ok, normalized()} | :error
   def undistort(%CameraIntrinsics{} = camera, target) do
@@ -75,7 +76,7 @@ defmodule Situ.Space.Camera do
     ArithmeticError -> :error
   end
 
-  # The derivatives of distort/2: of x by x, of x by y, of y by x, of y by y.
+  # The derivatives of distort/2: dx/dx, dx/dy, dy/dx, dy/dy.
   defp jacobian(%{radial: {k1, k2, k3, k4, k5, k6}, tangential: {p0, p1}}, {x, y}) do
     r2 = x * x + y * y
     above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -96,21 +97,22 @@ defmodule Situ.Space.Camera do
     distort: [
       type: :boolean,
       default: true,
-      doc: "Whether the lens distorts; false is the ideal pinhole."
+      doc: "Whether to apply the lens distortion; `false` is the ideal pinhole."
     ],
     outside: [
       type: :boolean,
       default: false,
-      doc: "Whether pixels outside of the picture are an answer."
+      doc: "Whether to return pixels outside the image."
     ]
   ]
 
   @doc """
-  The pixel that shows a point of the camera's frame (metres).
+  Returns the pixel that shows a point of the camera's frame (metres).
 
   #{Situ.Options.docs(@schema)}
 
-  `{:error, :behind}` for points that are not in front of the camera, `{:error, :outside}` for those beside the picture.
+  Returns `{:error, :behind}` for points that are not in front of the camera, and `{:error, :outside}` for points
+  outside the image.
   """
   @spec project(CameraIntrinsics.t(), Vector3.t(), keyword()) ::
           {:ok, pixel()} | {:error, :behind | :outside}
@@ -141,21 +143,21 @@ defmodule Situ.Space.Camera do
     undistort: [
       type: :boolean,
       default: true,
-      doc: "Whether the distortion of the lens is taken back."
+      doc: "Whether to remove the lens distortion."
     ],
     semantics: [
       type: {:in, [:plane, :point]},
       default: :plane,
-      doc: "How `depth` is measured: to the plane through the camera, or along the ray."
+      doc: "Whether `depth` is measured to the plane through the camera, or along the ray."
     ]
   ]
 
   @doc """
-  The point of the camera's frame that a pixel shows, at a depth in metres.
+  Returns the point of the camera's frame that a pixel shows at a depth in metres.
 
   #{Situ.Options.docs(@schema)}
 
-  `{:error, :not_invertible}` where the distortion cannot be taken back.
+  Returns `{:error, :not_invertible}` if the distortion cannot be removed at this pixel.
   """
   @spec unproject(CameraIntrinsics.t(), pixel(), number(), keyword()) ::
           {:ok, Vector3.t()} | {:error, :not_invertible}
@@ -182,7 +184,7 @@ defmodule Situ.Space.Camera do
     end
   end
 
-  @doc "The ray of the camera's frame that a pixel shows."
+  @doc "Returns the ray of the camera's frame that a pixel shows."
   @spec ray(CameraIntrinsics.t(), pixel()) :: {:ok, Ray3.t()} | {:error, :not_invertible}
   def ray(%CameraIntrinsics{} = camera, pixel) do
     with {:ok, point} <- unproject(camera, pixel, 1.0),
@@ -190,13 +192,13 @@ defmodule Situ.Space.Camera do
          do: {:ok, ray}
   end
 
-  @doc "The pixel of a view that shows a point of the outer frame."
+  @doc "Returns the pixel of a view that shows a point of the outer frame."
   @spec project_in_view(CameraView.t(), Vector3.t(), keyword()) ::
           {:ok, pixel()} | {:error, :behind | :outside}
   def project_in_view(%CameraView{} = view, point, opts \\ []),
     do: project(view.intrinsics, Pose.transform(Pose.invert(view.pose), point), opts)
 
-  @doc "The ray of the outer frame that a pixel of a view shows."
+  @doc "Returns the ray of the outer frame that a pixel of a view shows."
   @spec ray_in_view(CameraView.t(), pixel()) :: {:ok, Ray3.t()} | {:error, :not_invertible}
   def ray_in_view(%CameraView{} = view, pixel) do
     with {:ok, ray} <- ray(view.intrinsics, pixel), do: {:ok, Ray3.transform(ray, view.pose)}

@@ -1,15 +1,16 @@
 defmodule Situ.Space.Chessboard do
   @moduledoc """
-  Chessboards in pictures, and what they tell of a camera: its lens, and where the boards stood. By OpenCV
-  (`Situ.Space.OpenCV`): corners to a fraction of a pixel, calibration by Zhang's method.
+  Finds chessboards in images and calibrates a camera from them: its intrinsics, and the pose of each board. OpenCV
+  (`Situ.Space.OpenCV`) finds corners with subpixel accuracy and calibrates by Zhang's method.
 
       boards = for picture <- pictures, {:ok, corners} <- [Chessboard.corners(picture, {9, 6})], do: corners
       {:ok, found} = Chessboard.calibrate(boards, {9, 6}, 0.025, {640, 480})
       found.intrinsics.focal
 
-  A board is named by its inner corners: one of 10 by 7 squares has {9, 6}. One of the two numbers should be even and
-  the other odd, else it looks the same when it is turned. Ten boards that are tilted, near and far, all over the
-  picture, give a lens to a tenth of a percent; boards that all face the camera give none.
+  A board is described by its inner corners: a board of 10 by 7 squares is `{9, 6}`. Choose an even and an odd number,
+  because otherwise the board looks the same when rotated by half a turn. Ten boards that are tilted, near and far, and
+  spread over the image determine the focal length to a tenth of a percent. Boards that all face the camera do not
+  determine it.
   """
   alias Situ.{CameraIntrinsics, Error, Image, Imaging, Pose, Quaternion, Vector3}
   alias Situ.Space.OpenCV
@@ -17,8 +18,8 @@ defmodule Situ.Space.Chessboard do
   @type board :: {columns :: 3..50, rows :: 3..50}
   @type pixel :: {float(), float()}
   @typedoc """
-  `error` is the root of the mean squared distance in pixels, of all corners, and of each board's beside its pose: the
-  board's frame in the camera's. On the board x goes along a row of corners and y along a column.
+  `error` is the root mean square of the reprojection error in pixels, of all corners and of each board. `pose` is the
+  board's frame in the camera's. On the board, x runs along a row of corners and y along a column.
   """
   @type found :: %{
           intrinsics: CameraIntrinsics.t(),
@@ -30,12 +31,12 @@ defmodule Situ.Space.Chessboard do
     session: [
       type: {:optional, {:struct, OpenCV}},
       default: nil,
-      doc: "A session of `Situ.Space.OpenCV.open/1`, for many pictures."
+      doc: "A session of `Situ.Space.OpenCV.open/1`, to reuse for many images."
     ]
   ]
 
   @doc """
-  The pixels of the board's inner corners, row by row. Errors: `:no_board` in the picture, `:no_opencv_port`.
+  Returns the pixels of the board's inner corners, row by row. Errors: `:no_board` in the image, `:no_opencv_port`.
 
   #{Situ.Options.docs(@corners)}
   """
@@ -74,28 +75,29 @@ defmodule Situ.Space.Chessboard do
 
   defp board(other) do
     {:error,
-     Error.new(:bad_option, "no board has #{inspect(other)} inner corners",
+     Error.new(:bad_option, "invalid number of inner corners: #{inspect(other)}",
        fix: "give {columns, rows}, each 3 to 50"
      )}
   end
 
   defp no_board(picture, {columns, rows}) do
-    Error.new(:no_board, "no board of #{columns} by #{rows} inner corners is in the picture",
+    Error.new(:no_board, "no board of #{columns} by #{rows} inner corners was found in the image",
       why:
-        "it must be seen whole, with a bright margin (the picture has #{picture.width}x#{picture.height} pixels)",
-      fix: "count the inner corners again (squares less one), look for blur, shadows and fingers"
+        "the complete board must be visible with a bright margin (the image is #{picture.width}x#{picture.height})",
+      fix:
+        "count the inner corners again (squares minus one), and check for blur, shadows and fingers"
     )
   end
 
   @schema [distortion: Situ.Space.Calibration.distortion()] ++ @corners
 
   @doc """
-  The camera that saw these boards, each a list of corners as `corners/3` gives it; `square` is the width of a square
-  in metres, `size` that of the pictures in pixels.
+  Calibrates the camera that saw these boards, each a list of corners from `corners/3`. `square` is the width of a
+  square in metres, and `{width, height}` is the size of the images in pixels.
 
   #{Situ.Options.docs(@schema)}
 
-  Errors: `:too_few` boards (three at least), `:not_found` where they tell nothing of the lens.
+  Errors: `:too_few` boards (at least three), `:not_found` if the boards do not determine the lens.
   """
   @spec calibrate([[pixel()]], board(), number(), {pos_integer(), pos_integer()}, keyword()) ::
           {:ok, found()} | {:error, Error.t()}
@@ -109,7 +111,7 @@ defmodule Situ.Space.Chessboard do
 
       case OpenCV.call(opts[:session], [head | Enum.map(boards, &view(&1, places))]) do
         {:ok, bytes} -> answer(bytes, {width, height})
-        :not_found -> {:error, not_found("it gives none")}
+        :not_found -> {:error, not_found("OpenCV found no solution")}
         {:error, %Error{code: :opencv_failed} = error} -> {:error, not_found(error.why)}
         error -> error
       end
@@ -119,18 +121,22 @@ defmodule Situ.Space.Chessboard do
   defp enough(boards, count, square) do
     cond do
       not (is_number(square) and square > 0) ->
-        {:error, Error.new(:bad_option, "a square is no #{inspect(square)} m wide")}
+        {:error,
+         Error.new(
+           :bad_option,
+           "the square width must be a positive number, got #{inspect(square)} m"
+         )}
 
       length(boards) < 3 ->
         {:error,
-         Error.new(:too_few, "#{length(boards)} boards are too few to know a lens by",
-           fix: "give three at least, better ten: tilted, near and far, all over the picture"
+         Error.new(:too_few, "#{length(boards)} boards are too few to calibrate a lens",
+           fix: "give at least three, better ten: tilted, near and far, spread over the image"
          )}
 
       board = Enum.find(boards, &(length(&1) != count)) ->
         {:error,
          Error.new(:bad_option, "a board of #{count} corners has #{length(board)} pixels",
-           fix: "give each board as Situ.Space.Chessboard.corners/3 does"
+           fix: "pass each board as returned by Situ.Space.Chessboard.corners/3"
          )}
 
       true ->
@@ -150,8 +156,8 @@ defmodule Situ.Space.Chessboard do
   defp not_pixels,
     do:
       {:error,
-       Error.new(:bad_option, "a board has something that is no pixel",
-         fix: "give {x, y} for each corner"
+       Error.new(:bad_option, "a board contains a value that is not a pixel",
+         fix: "give {x, y} for each corner, with numbers"
        )}
 
   defp view(pixels, places) do
@@ -185,15 +191,14 @@ defmodule Situ.Space.Chessboard do
         end
 
       _ ->
-        {:error, not_found("the best one found has numbers that no lens has")}
+        {:error, not_found("the best solution has values that are impossible for a lens")}
     end
   end
 
   defp not_found(why) do
-    Error.new(:not_found, "no camera shows these boards at these pixels",
+    Error.new(:not_found, "no camera model fits these boards",
       why: why,
-      fix:
-        "tilt the boards, show them near and far; distortion: :none finds less, of fewer boards"
+      fix: "tilt the boards and show them near and far; distortion: :none needs fewer boards"
     )
   end
 

@@ -1,6 +1,6 @@
 defmodule Situ.Space.Cloud do
   @moduledoc """
-  Operations on point clouds: fewer points, parts, planes, normals, clusters. Binary in, binary out.
+  Operations on point clouds: downsampling, clipping, planes, normals, clusters. They take and return binaries.
 
       iex> cloud = Situ.PointCloud.from_points([{0.1, 0.1, 0.1}, {0.3, 0.1, 0.1}, {5.0, 5.0, 5.0}])
       iex> {:ok, fewer} = Situ.Space.Cloud.downsample(cloud, 1.0)
@@ -13,8 +13,8 @@ defmodule Situ.Space.Cloud do
   @type result :: {:ok, PointCloud.t()} | {:error, Error.t()}
 
   @doc """
-  One point for every cube with edges of `size` metres: the mean of the points in it, in the order in which the cubes
-  are first met. Colours and values are left out.
+  Returns one point for every cube with edges of `size` metres: the mean of the points in it, in the order in which the
+  cubes are first met. Colours and values are dropped.
   """
   @spec downsample(PointCloud.t(), number()) :: result()
   def downsample(%PointCloud{} = cloud, size) when is_number(size) do
@@ -23,8 +23,8 @@ defmodule Situ.Space.Cloud do
   end
 
   @doc """
-  At most `most` points of the cloud, evenly by their number, in their order, with their colours and values: for
-  drawing, where each point stands for its neighbours.
+  Returns at most `most` points of the cloud, evenly spaced by index, in their order and with their colours and values.
+  This is meant for drawing, where each point represents its neighbours.
 
       iex> cloud = Situ.PointCloud.from_points(for x <- 1..6, do: {x * 1.0, 0.0, 0.0})
       iex> {:ok, fewer} = Situ.Space.Cloud.thin(cloud, 2)
@@ -43,9 +43,10 @@ defmodule Situ.Space.Cloud do
   defp thin_extra(bytes, size, most), do: Kernel.call(:thin, [bytes, size, most])
 
   @doc """
-  At most `most` of the points that lie before all of these planes, evenly by their number, in their order, with their
-  colours and values; and how many do. Before `{a, b, c, d}` is where `ax + by + cz + d >= 0`: six planes are what a
-  camera sees. Points that are not finite are nowhere.
+  Returns at most `most` of the points that are in front of all of these planes, and how many there are in total. Points
+  are evenly spaced by index, in their order and with their colours and values. A point is in front of the plane
+  `{a, b, c, d}` if `ax + by + cz + d >= 0`; six planes bound the view of a camera. Points that are not finite are
+  dropped.
 
       iex> cloud = Situ.PointCloud.from_points(for x <- 0..9, do: {x * 1.0, 0.0, 0.0})
       iex> {:ok, {near, 4}} = Situ.Space.Cloud.within(cloud, [{-1.0, 0.0, 0.0, 3.0}], 2)
@@ -65,7 +66,7 @@ defmodule Situ.Space.Cloud do
          do: {:ok, {found, count}}
   end
 
-  @doc "The cloud, given in a pose's own frame, in the frame of the pose; colours and values stay."
+  @doc "Transforms a cloud from a pose's own frame to the frame in which the pose is given; keeps colours and values."
   @spec transform(PointCloud.t(), Pose.t()) :: result()
   def transform(%PointCloud{} = cloud, %Pose{} = pose) do
     with {:ok, points} <-
@@ -77,7 +78,7 @@ defmodule Situ.Space.Cloud do
          do: PointCloud.new(points, cloud.colors, cloud.values)
   end
 
-  @doc "The points inside a box, its skin included, in their order, with their colours and values."
+  @doc "Returns the points inside a box or on its surface, in their order and with their colours and values."
   @spec clip(PointCloud.t(), Box3.t()) :: result()
   def clip(%PointCloud{} = cloud, %Box3{} = box) do
     with {:ok, local} <-
@@ -99,19 +100,19 @@ defmodule Situ.Space.Cloud do
     tolerance: [
       type: :number,
       default: 0.02,
-      doc: "How far off the plane a point may lie, metres."
+      doc: "The maximum distance of a point from the plane, metres."
     ],
     rounds: [
       type: :pos_integer,
       default: 500,
-      doc: "How many planes through three random points are tried."
+      doc: "The number of planes through three random points to try."
     ],
     seed: [type: :non_neg_integer, default: 0, doc: "The same seed gives the same plane."]
   ]
 
   @doc """
-  The plane on which most points lie, and their places in the cloud (32-bit little-endian numbers, from 0). The normal's
-  z is not negative. Fewer than three points, or points on one line, are an error.
+  Fits the plane with the most points on it, and returns it with the indices of these points (32-bit little-endian
+  numbers, from 0). The normal's z is not negative. Fewer than three points, or points on one line, are an error.
 
   #{Situ.Options.docs(@plane)}
 
@@ -130,9 +131,9 @@ defmodule Situ.Space.Cloud do
   end
 
   @doc """
-  For every point the unit normal of the surface through its neighbours within `radius` metres, turned towards
-  `viewpoint`, and how curved the surface is (0 flat, at most 1/3): two binaries of 32-bit little-endian floats, three
-  and one a point. Where a point has fewer than two neighbours the normal is zero.
+  Returns two binaries of 32-bit little-endian floats: for every point the unit normal (three floats) of the surface
+  through its neighbours within `radius` metres, pointing to the side of `viewpoint`, and the curvature of the surface
+  (one float, 0 for flat, at most 1/3). The normal of a point with fewer than two neighbours is zero.
   """
   @spec normals(PointCloud.t(), number(), Vector3.t()) ::
           {:ok, {normals :: binary(), curvatures :: binary()}} | {:error, Error.t()}
@@ -140,7 +141,7 @@ defmodule Situ.Space.Cloud do
     do: Kernel.call(:normals, [cloud.points, radius * 1.0, viewpoint])
 
   @doc """
-  The clusters of at least `least` points, in which every point has another within `radius` metres: the largest first.
+  Returns the clusters of at least `least` points in which each point has another within `radius` metres, largest first.
   """
   @spec clusters(PointCloud.t(), number(), pos_integer()) ::
           {:ok, [PointCloud.t()]} | {:error, Error.t()}
@@ -167,7 +168,9 @@ defmodule Situ.Space.Cloud do
     }
   end
 
-  @doc "The point of the cloud nearest to a ray, and its distance from it (metres); `nil` for an empty cloud."
+  @doc """
+  Returns the point of the cloud nearest to a ray and its distance from the ray (metres), or `nil` for an empty cloud.
+  """
   @spec nearest_to_ray(PointCloud.t(), Situ.Ray3.t()) :: {Vector3.t(), float()} | nil
   def nearest_to_ray(%PointCloud{} = cloud, ray) do
     cloud

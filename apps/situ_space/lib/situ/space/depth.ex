@@ -1,6 +1,6 @@
 defmodule Situ.Space.Depth do
   @moduledoc """
-  Point clouds and meshes from depth images, and where a ray meets what a depth camera saw.
+  Computes point clouds and meshes from depth images, and the point where a ray meets the surface in a depth image.
 
   A camera is given by its intrinsics or, faster for many images, by its `Situ.Space.RayTable`.
 
@@ -27,23 +27,23 @@ defmodule Situ.Space.Depth do
   @type camera :: CameraIntrinsics.t() | RayTable.t()
 
   @cloud [
-    sparsity: [type: :pos_integer, default: 1, doc: "Takes every n-th pixel of every n-th row."],
+    sparsity: [type: :pos_integer, default: 1, doc: "Use every n-th pixel of every n-th row."],
     robust: [
       type: :boolean,
       default: false,
-      doc: "Takes only pixels whose eight neighbours were measured too."
+      doc: "Use only pixels whose eight neighbours were also measured."
     ],
     colors: [
       type: {:optional, {:struct, Situ.Image}},
       default: nil,
       doc:
-        "A picture of the same size that shows the same, for the points' colours; " <>
-          "`Situ.Space.Registration` makes one of another camera's."
+        "An image of the same size and viewpoint that gives the points their colours; " <>
+          "`Situ.Space.Registration` computes one from another camera's image."
     ]
   ]
 
   @doc """
-  The points that a depth image shows, in the camera's frame; pixels without a reading (0) give none.
+  Returns the points that a depth image shows, in the camera's frame. Pixels without a reading (0) yield no point.
 
   #{Situ.Options.docs(@cloud)}
   """
@@ -68,8 +68,8 @@ defmodule Situ.Space.Depth do
     {:error,
      Error.new(
        :bad_option,
-       "a picture of #{picture.width}x#{picture.height} does not fit depth of #{depth.width}x#{depth.height}",
-       fix: "resize one of them"
+       "the image has #{picture.width}x#{picture.height} pixels, the depth image #{depth.width}x#{depth.height}",
+       fix: "resize the image or the depth image to the size of the other"
      )}
   end
 
@@ -77,13 +77,13 @@ defmodule Situ.Space.Depth do
     edge: [
       type: :number,
       default: 0.2,
-      doc: "Triangles whose corners' depths differ by more (metres) are left out."
+      doc: "Drops triangles whose corners differ in depth by more than this, metres."
     ],
-    sparsity: [type: :pos_integer, default: 1, doc: "Takes every n-th pixel of every n-th row."]
+    sparsity: [type: :pos_integer, default: 1, doc: "Use every n-th pixel of every n-th row."]
   ]
 
   @doc """
-  The surface that a depth image shows, as triangles between neighbouring pixels, in the camera's frame.
+  Returns the surface that a depth image shows, as triangles between neighbouring pixels, in the camera's frame.
 
   #{Situ.Options.docs(@mesh)}
   """
@@ -97,20 +97,24 @@ defmodule Situ.Space.Depth do
   end
 
   @doc false
-  # A depth image as the kernels take it.
+  # Converts a depth image to the tuple that the native kernels expect.
   @spec term(DepthImage.t()) :: tuple()
   def term(%DepthImage{} = d),
     do: {d.width, d.height, d.stride, d.data, d.scale, d.semantics == :point}
 
   @march [
-    step: [type: :number, default: 0.05, doc: "How far to go between looks, metres."],
-    range: [type: :number, default: 5.0, doc: "How far to look, metres."]
+    step: [
+      type: :number,
+      default: 0.05,
+      doc: "The distance between samples along the ray, metres."
+    ],
+    range: [type: :number, default: 5.0, doc: "The maximum distance along the ray, metres."]
   ]
 
   @doc """
-  Where a ray of the outer frame first meets what the camera of a view saw: the first step at which the point lies
-  behind the measured depth. `nil` where it meets nothing within the range or leaves the picture. Depths that were not
-  measured are made up from their neighbours (`Situ.DepthImage.interpolated_distance/4`).
+  Returns the point where a ray of the outer frame first meets the surface that the camera of a view saw: the first
+  step at which the ray is farther away than the measured depth. Returns `nil` if it meets nothing within the range or
+  leaves the image. Missing depths are interpolated (`Situ.DepthImage.interpolated_distance/4`).
 
   #{Situ.Options.docs(@march)}
   """
@@ -118,7 +122,7 @@ defmodule Situ.Space.Depth do
   def intersection(%CameraView{viewed: %DepthImage{}} = view, %Ray3{} = ray, opts \\ []) do
     opts = Situ.Options.validate!(opts, @march)
     local = Ray3.transform(ray, Pose.invert(view.pose))
-    # as many steps as decimal numbers say: 0.3 m are three of 0.1 m
+    # The small term compensates for rounding, so that 0.3 m are three steps of 0.1 m.
     steps = trunc(opts[:range] / opts[:step] + 1.0e-9)
 
     Enum.find_value(1..max(steps, 1)//1, fn n ->

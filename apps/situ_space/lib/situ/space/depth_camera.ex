@@ -1,18 +1,18 @@
 defmodule Situ.Space.DepthCamera do
   @moduledoc """
-  A camera that measures depth: one way to open it, whatever stands behind.
+  A camera that measures depth, opened in the same way for every driver.
 
       room = Situ.Space.DepthCamera.open(p, {Situ.Space.SyntheticRoom, seconds: 10})
       seen = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recorded, path: "recordings/room.0000"})
       cloud = Situ.Space.DepthCamera.clouds(seen)
 
-  Both streams are of `Situ.CameraView`s: the picture with the intrinsics and the pose it was taken with, so that
-  whatever is computed from one needs nothing else. A driver is a module with this behaviour; drivers:
+  Both streams carry `Situ.CameraView`s: each image comes with its intrinsics and pose, so a computation needs no other
+  input. A driver is a module with this behaviour. Drivers:
 
-    * `Situ.Space.SyntheticRoom`: a room that is computed, with the truth beside it
-    * `Situ.Space.DepthCamera.Device`: a device of the kernel that gives depth, V4L2's Z16
-    * `Situ.Space.DepthCamera.Library`: a camera of OpenNI 2 or libfreenect
-    * `Situ.Space.DepthCamera.Recorded`: a recording of any of them
+    * `Situ.Space.SyntheticRoom`: a rendered room with ground truth
+    * `Situ.Space.DepthCamera.Device`: a Linux kernel device that delivers depth in V4L2's Z16 format
+    * `Situ.Space.DepthCamera.Library`: a camera supported by OpenNI 2 or libfreenect
+    * `Situ.Space.DepthCamera.Recorded`: a recording of any of these cameras
   """
   alias Situ.{CameraView, DepthImage, Error, PointCloud}
   alias Situ.Space.{Cloud, Depth, Registration}
@@ -20,32 +20,32 @@ defmodule Situ.Space.DepthCamera do
   @enforce_keys [:depth, :color]
   defstruct [:depth, :color, others: %{}]
 
-  @typedoc "`others` are streams that only some cameras have: bodies, sound, an inertial sensor."
+  @typedoc "`others` are streams that only some cameras have: bodies, audio, an inertial sensor."
   @type t :: %__MODULE__{
           depth: Situ.Stream.t(),
           color: Situ.Stream.t() | nil,
           others: %{optional(atom()) => Situ.Stream.t()}
         }
 
-  @doc "Adds the camera to a pipeline; raises `Situ.Error` when it cannot be opened."
+  @doc "Adds the camera to a pipeline. Raises `Situ.Error` if it cannot be opened."
   @callback open(Situ.Pipeline.t(), keyword()) :: t()
 
-  @doc "Opens a driver, given by its module or its module with options."
+  @doc "Opens the camera of a driver, given as a module or as a module with options."
   @spec open(Situ.Pipeline.t(), module() | {module(), keyword()}) :: t()
   def open(p, {driver, opts}) when is_atom(driver) and is_list(opts), do: driver.open(p, opts)
   def open(p, driver) when is_atom(driver), do: driver.open(p, [])
 
   @clouds [
-    sparsity: [type: :pos_integer, default: 1, doc: "Takes every n-th pixel of every n-th row."],
+    sparsity: [type: :pos_integer, default: 1, doc: "Use every n-th pixel of every n-th row."],
     robust: [
       type: :boolean,
       default: false,
-      doc: "Takes only pixels whose eight neighbours were measured too."
+      doc: "Use only pixels whose eight neighbours were also measured."
     ]
   ]
 
   @doc """
-  A stream of the points that the camera sees, in the frame that its poses are given in.
+  Returns a stream of the points that the camera sees, in the frame in which its poses are given.
 
   #{Situ.Options.docs(@clouds)}
   """
@@ -62,8 +62,9 @@ defmodule Situ.Space.DepthCamera do
   end
 
   @doc """
-  The points of one view, in the frame that its pose is given in. Options as of `Situ.Space.Depth.to_cloud/3`; `colors:`
-  may also be the view of another camera, with its lens and its pose (`Situ.Space.Registration`).
+  Returns the points of one view, in the frame in which its pose is given. Takes the options of
+  `Situ.Space.Depth.to_cloud/3`. `colors:` may also be the view of another camera, with its lens and pose
+  (`Situ.Space.Registration`).
   """
   @spec cloud(CameraView.t(DepthImage.t()), keyword()) ::
           {:ok, PointCloud.t()} | {:error, Error.t()}

@@ -1,9 +1,11 @@
 defmodule Situ.Space.Frames do
   @moduledoc """
-  A tree of frames of reference: where each lies in its parent, static or moving, looked up at any originating time.
+  A tree of frames of reference. Each frame has a static or moving pose in its parent, and the pose of a frame in
+  another frame can be looked up at any originating time.
 
-  Moving frames keep their poses of the last `keep` ns and are interpolated between them (`Situ.Pose.interpolate/3`), so
-  an answer does not depend on what happens to have arrived: a time outside of what is known is an error, not a guess.
+  Moving frames keep the poses of the last `keep` ns, and poses between them are interpolated
+  (`Situ.Pose.interpolate/3`). The result does not depend on the order of arrival: a time outside the known range is an
+  error.
 
       iex> alias Situ.Space.Frames
       iex> {:ok, frames} = Frames.put_static(Frames.new(), "base", "world", Situ.Pose.new({1.0, 0.0, 0.0}))
@@ -34,7 +36,7 @@ defmodule Situ.Space.Frames do
   ]
 
   @doc """
-  No frames.
+  Returns an empty tree.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -48,7 +50,7 @@ defmodule Situ.Space.Frames do
          do: {:ok, %{frames | frames: Map.put(frames.frames, frame, {parent, {:static, pose}})}}
   end
 
-  @doc "The pose of `frame` in `parent` at an originating time. Times may come in any order."
+  @doc "Adds the pose of `frame` in `parent` at an originating time. Times may come in any order."
   @spec put(t(), name(), name(), Situ.Time.t(), Pose.t()) :: {:ok, t()} | {:error, Error.t()}
   def put(%__MODULE__{} = frames, frame, parent, time, %Pose{} = pose) when is_integer(time) do
     with :ok <- check(frames, frame, parent, :moving) do
@@ -58,7 +60,7 @@ defmodule Situ.Space.Frames do
   end
 
   @doc """
-  Takes in what a stream of frames said at an originating time: a `Situ.Transform`, or a list of them.
+  Adds a message of a stream of frames with its originating time: a `Situ.Transform`, or a list of them.
 
       iex> alias Situ.Space.Frames
       iex> told = [Situ.Transform.new("arm", "robot", Situ.Pose.new({0.0, 0.0, 1.0}), static: true)]
@@ -100,7 +102,7 @@ defmodule Situ.Space.Frames do
         {:error,
          Error.new(
            :frame_conflict,
-           "the frame #{inspect(frame)} is #{other}, and cannot become #{kind}"
+           "the frame #{inspect(frame)} is #{other} and cannot become #{kind}"
          )}
 
       {old, _} ->
@@ -123,19 +125,19 @@ defmodule Situ.Space.Frames do
     end
   end
 
-  @doc "Forgets a frame; frames in it lose their way up."
+  @doc "Removes a frame. Frames below it are no longer connected to the tree above it."
   @spec delete(t(), name()) :: t()
   def delete(%__MODULE__{} = frames, frame),
     do: %{frames | frames: Map.delete(frames.frames, frame)}
 
-  @doc "Every frame with its parent, sorted by name."
+  @doc "Lists every frame with its parent, sorted by name."
   @spec list(t()) :: [{name(), parent :: name(), :static | :moving}]
   def list(%__MODULE__{frames: frames}),
     do: Enum.sort(for {frame, {parent, {kind, _}}} <- frames, do: {frame, parent, kind})
 
   @doc """
-  The pose of `frame` in `reference` at an originating time: `Situ.Pose.transform(pose, p)` takes a point of `frame` to
-  `reference`. Both must hang on one tree, and every moving frame on the way must be known at that time.
+  Returns the pose of `frame` in `reference` at an originating time: `Situ.Pose.transform(pose, p)` converts a point of
+  `frame` to `reference`. Both must be in one tree, and every moving frame between them must be known at that time.
   """
   @spec lookup(t(), name(), name(), Situ.Time.t()) :: {:ok, Pose.t()} | {:error, Error.t()}
   def lookup(%__MODULE__{} = frames, frame, reference, time) when is_integer(time) do
@@ -146,7 +148,7 @@ defmodule Situ.Space.Frames do
     end
   end
 
-  # Most look up where a frame is in one that it hangs on: one walk, without a list.
+  # The fast path: the reference is usually an ancestor, which needs one walk upwards and no list.
   defp straight(_frames, same, same, _time, pose), do: {:ok, pose}
 
   defp straight(frames, frame, reference, time, inner) do
@@ -159,7 +161,7 @@ defmodule Situ.Space.Frames do
     end
   end
 
-  # Up to what both hang on, and down; or why there is no way.
+  # Combines the poses of both frames in their common ancestor, or reports why there is none.
   defp over(frames, frame, reference, time) do
     up = ancestors(frames, frame)
     down = if reference in up, do: [reference], else: ancestors(frames, reference)
@@ -187,7 +189,7 @@ defmodule Situ.Space.Frames do
     end
   end
 
-  # The pose of a frame in one of its ancestors; nil in itself.
+  # Returns the pose of a frame in one of its ancestors; nil for the frame itself.
   defp climb(_frames, common, common, _time), do: {:ok, nil}
 
   defp climb(frames, frame, common, time) do
@@ -219,8 +221,8 @@ defmodule Situ.Space.Frames do
     Error.new(
       :frame_unknown_at,
       "the pose of #{inspect(frame)} in #{inspect(parent)} is not known at #{time} ns",
-      why: "its poses reach from #{first} to #{last} ns",
-      fix: "ask for a time between them, wait for later poses, or keep more with keep:"
+      why: "its known poses are from #{first} to #{last} ns",
+      fix: "use a time in this range, wait for later poses, or keep more with keep:"
     )
   end
 
@@ -229,9 +231,9 @@ defmodule Situ.Space.Frames do
 
     Error.new(
       :frame_not_connected,
-      "no way leads from the frame #{inspect(frame)} to #{inspect(reference)}",
-      why: "the first hangs on #{inspect(top)}, the second on #{inspect(other)}",
-      fix: "put the pose of one of the two into the other's tree"
+      "the frame #{inspect(frame)} is not connected to #{inspect(reference)}",
+      why: "the root of the first is #{inspect(top)}, the root of the second #{inspect(other)}",
+      fix: "add the pose of one root in a frame of the other tree"
     )
   end
 end

@@ -1,11 +1,11 @@
 defmodule Situ.Space.Gpx do
   @moduledoc """
-  GPX files (tracks of GPS receivers) as recordings: `Situ.Store.open("walk.gpx")`, `bin/situ studio walk.gpx`.
+  Opens GPX files (tracks of GPS receivers) as recordings: `Situ.Store.open("walk.gpx")`, `bin/situ studio walk.gpx`.
 
-  Points of all tracks that have a time are the stream `Track` of `Situ.GeoPoint`s, in order of time; of two with one
-  time the later in the file counts for nothing. GPX 1.0 and 1.1; what else a file holds (way points, routes,
-  extensions) is passed over, and `Situ.Store.info/1` tells how many points had no time as `untimed`. Files up to
-  200 MB.
+  The timestamped points of all tracks become the stream `Track` of `Situ.GeoPoint`s, sorted by time. Of two points with
+  the same time, the later one in the file is dropped. GPX 1.0 and 1.1 are supported. Other content (way points, routes,
+  extensions) is skipped, and `Situ.Store.info/1` reports the number of points without a time as `untimed`. Files may
+  have up to 200 MB.
   """
   @behaviour Situ.Store.Reader
 
@@ -35,7 +35,7 @@ defmodule Situ.Space.Gpx do
   end
 
   @doc """
-  The points with their times (ns), and how many have none. Errors: `:bad_gpx`.
+  Returns the points with their times (ns), and the number of points without a time. Errors: `:bad_gpx`.
 
       iex> xml = ~s(<gpx><trk><trkseg><trkpt lat="46.5" lon="14.5"><ele>300</ele>) <>
       ...>   ~s(<time>2026-01-31T12:00:00Z</time></trkpt></trkseg></trk></gpx>)
@@ -154,7 +154,7 @@ defmodule Situ.Space.Gpx do
   @impl true
   def seek(gpx, _info, time), do: {:ok, place(gpx.points, time, 0, tuple_size(gpx.points))}
 
-  # The first point at or after a time, by halves.
+  # Finds the first point at or after a time by binary search.
   defp place(_points, _time, low, high) when low >= high, do: low
 
   defp place(points, time, low, high) do

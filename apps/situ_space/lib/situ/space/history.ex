@@ -1,8 +1,8 @@
 defmodule Situ.Space.History do
   @moduledoc false
-  # Poses by time, the last `keep` ns of them. The older ones stand in a sorted tuple, which is searched by halves; the
-  # latest few in a list, the latest first, which is merged into the tuple when it has grown. Poses mostly come in
-  # order, and are mostly asked for soon.
+  # Poses by time, of the last `keep` ns. Older ones are in a sorted tuple with binary search. The latest few are in a
+  # list, latest first, which is merged into the tuple when it is full. Most poses arrive in order and are looked up
+  # soon after.
   alias Situ.Pose
 
   @recent 32
@@ -15,7 +15,10 @@ defmodule Situ.Space.History do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Adds a pose; of two at one time the later call counts. Now and then forgets those older than `keep` ns but one."
+  @doc """
+  Adds a pose. A later call replaces a pose at the same time. Each merge drops the poses older than `keep` ns, except
+  one.
+  """
   @spec put(t(), Situ.Time.t(), Pose.t(), Situ.Time.duration()) :: t()
   def put(
         %__MODULE__{recent: [{latest, _} | _] = recent, count: count} = history,
@@ -37,13 +40,13 @@ defmodule Situ.Space.History do
     %__MODULE__{sorted: all |> forget(latest - keep) |> List.to_tuple()}
   end
 
-  # One pose before the span stays, so that all of it can be interpolated.
+  # One pose before the span is kept, so that the whole span can be interpolated.
   defp forget([_, {second, _} = next | rest], since) when second <= since,
     do: forget([next | rest], since)
 
   defp forget(entries, _since), do: entries
 
-  @doc "The times of the oldest and the latest pose."
+  @doc "Returns the times of the oldest and the latest pose."
   @spec span(t()) :: {Situ.Time.t(), Situ.Time.t()}
   def span(%__MODULE__{sorted: {}, recent: [{latest, _} | _] = recent}),
     do: {recent |> List.last() |> elem(0), latest}
@@ -54,7 +57,7 @@ defmodule Situ.Space.History do
     {oldest, latest}
   end
 
-  @doc "The pose at a time, those on either side of it, or `:outside` where it is not between two."
+  @doc "Returns the pose at a time, the poses on either side of it, or `:outside` if it is not between two poses."
   @spec around(t(), Situ.Time.t()) :: {:exact, Pose.t()} | {:between, entry(), entry()} | :outside
   def around(%__MODULE__{recent: [{latest, _} | _]}, time) when time > latest, do: :outside
 
@@ -89,7 +92,7 @@ defmodule Situ.Space.History do
   defp beside(_before, nil, _time), do: :outside
   defp beside(before, later, _time), do: {:between, before, later}
 
-  # How many entries lie before `time`.
+  # Returns the number of entries before `time`.
   defp search(_sorted, _time, low, high) when low >= high, do: low
 
   defp search(sorted, time, low, high) do

@@ -1,6 +1,6 @@
 defmodule Situ.Space.Kernel do
   @moduledoc false
-  # The door to the native kernels: turns their failures, and arguments of the wrong kind, into Situ.Error.
+  # The only entry to the native kernels. It converts their failures and arguments of the wrong type to Situ.Error.
   alias Situ.Error
   alias Situ.Space.Native
 
@@ -16,7 +16,7 @@ defmodule Situ.Space.Kernel do
       {:error,
        Error.new(
          :bad_option,
-         "#{function} cannot take these arguments: #{inspect(arguments, limit: 5)}"
+         "invalid arguments for #{function}: #{inspect(arguments, limit: 5)}"
        )}
   end
 end

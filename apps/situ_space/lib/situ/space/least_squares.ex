@@ -1,7 +1,7 @@
 defmodule Situ.Space.LeastSquares do
   @moduledoc """
-  The numbers for which the sum of the squares of a function's results is least, by Levenberg-Marquardt with central
-  differences. For a few dozen numbers and some thousand results.
+  Finds the values that minimize the sum of squares of a function's results, by Levenberg-Marquardt with central
+  differences. It suits a few dozen values and some thousand results.
 
       iex> curve = fn a, b -> for x <- 0..9, do: a * :math.exp(b * x / 10) end
       iex> off = fn [a, b] -> Enum.zip_with(curve.(a, b), curve.(2.0, 0.3), &(&1 - &2)) end
@@ -16,7 +16,7 @@ defmodule Situ.Space.LeastSquares do
 
   @type result :: {:ok, {[float()], square :: float()}} | {:error, Error.t()}
 
-  @doc "Begins at `start` and takes `rounds` steps at most. Results that are no numbers count as no answer."
+  @doc "Minimizes from `start` in at most `rounds` steps. Results that are not numbers are an error."
   @spec minimize([float()], ([float()] -> [float()]), pos_integer()) :: result()
   def minimize(start, fun, rounds) do
     results = fun.(start)
@@ -24,7 +24,7 @@ defmodule Situ.Space.LeastSquares do
   rescue
     ArithmeticError ->
       {:error,
-       Error.new(:not_found, "the search left the range in which the function has values",
+       Error.new(:not_found, "the search left the range in which the function is defined",
          fix: "give a better start"
        )}
   end
@@ -48,7 +48,7 @@ defmodule Situ.Space.LeastSquares do
     end
   end
 
-  # More damping, until a step makes it better.
+  # Increases the damping until a step reduces the error.
   defp attempt(_values, _least, _normal, _slope, _fun, damping) when damping > @most, do: :none
 
   defp attempt(values, least, normal, slope, fun, damping) do
@@ -66,7 +66,7 @@ defmodule Situ.Space.LeastSquares do
     end
   end
 
-  # How the results change with each of the values.
+  # Returns the derivatives of the results by each of the values.
   defp columns(values, fun) do
     for i <- 0..(length(values) - 1) do
       h = 1.0e-6 * max(abs(Enum.at(values, i)), 1.0e-2)
@@ -83,7 +83,7 @@ defmodule Situ.Space.LeastSquares do
   defp square(results), do: dot(results, results)
 
   @doc """
-  The solution of a system of linear equations, by elimination with the largest pivot; `:error` where there is none.
+  Solves a system of linear equations by elimination with partial pivoting. Returns `:error` for a singular system.
 
       iex> Situ.Space.LeastSquares.solve([[0.0, 2.0], [1.0, 1.0]], [4.0, 5.0])
       {:ok, [3.0, 2.0]}
@@ -111,7 +111,7 @@ defmodule Situ.Space.LeastSquares do
   defp minus([a | as], [b | bs], by), do: [a - b * by | minus(as, bs, by)]
   defp minus([], [], _by), do: []
 
-  # From the last equation, which has one unknown, upwards.
+  # Starts with the last equation, which has one unknown, and continues upwards.
   defp substitute([], known), do: known
 
   defp substitute([[pivot | row] | above], known) do

@@ -1,17 +1,17 @@
 defmodule Situ.Space.OpenCV do
   @moduledoc """
-  The program `opencv_port` beside: OpenCV's `calib3d` for chessboards (`Situ.Space.Chessboard`) and stereo
-  (`Situ.Space.Stereo`). `bin/setup --with opencv` builds it; nothing else needs it, and what goes wrong in it harms no
-  one else.
+  Runs OpenCV's `calib3d` in the separate program `opencv_port`, for chessboards (`Situ.Space.Chessboard`) and stereo
+  (`Situ.Space.Stereo`). `bin/setup --with opencv` builds it, and no other module needs it. A crash of the program
+  affects only its session.
 
       {:ok, session} = Situ.Space.OpenCV.open()
       {:ok, corners} = Situ.Space.Chessboard.corners(picture, {9, 6}, session: session)
       Situ.Space.OpenCV.close(session)
 
-  A session ends with the process that opened it. Functions without one open their own for that call, which takes some
-  50 ms.
+  A session ends with the process that opened it. Functions called without a session open one for that call, which takes
+  about 50 ms.
   """
-  # A process of its own has the program: a pipe that breaks ends who holds it.
+  # A separate process owns the program, because a broken pipe ends the owner.
   use GenServer, restart: :temporary
   alias Situ.Error
 
@@ -21,7 +21,7 @@ defmodule Situ.Space.OpenCV do
 
   @timeout 60_000
 
-  @doc "Where the program is. Error: `:no_opencv_port`."
+  @doc "Returns the path of the program. Error: `:no_opencv_port`."
   @spec program() :: {:ok, Path.t()} | {:error, Error.t()}
   def program do
     path =
@@ -33,13 +33,13 @@ defmodule Situ.Space.OpenCV do
     else
       {:error,
        Error.new(:no_opencv_port, "chessboards and stereo need the program opencv_port",
-         why: "#{path} is not there",
-         fix: "run bin/setup --with opencv (3 MB), or set SITU_OPENCV_PORT to it"
+         why: "#{path} does not exist",
+         fix: "run bin/setup --with opencv (3 MB), or set SITU_OPENCV_PORT to its path"
        )}
     end
   end
 
-  @doc "Starts it for the calling process. `timeout:` how long an answer may take, ms (a minute by default)."
+  @doc "Starts the program for the calling process. `timeout:` limits the time of a request, ms (default: one minute)."
   @spec open(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def open(opts \\ []) do
     with {:ok, program} <- program() do
@@ -48,7 +48,7 @@ defmodule Situ.Space.OpenCV do
     end
   end
 
-  @doc "Ends it."
+  @doc "Ends the session and its program."
   @spec close(t()) :: :ok
   def close(%__MODULE__{server: server}) do
     GenServer.stop(server, :normal, 10_000)
@@ -90,20 +90,23 @@ defmodule Situ.Space.OpenCV do
       {^port, {:exit_status, status}} -> stop("it ended with status #{status}", port)
       {:EXIT, ^port, reason} -> stop("it ended: #{inspect(reason)}", port)
     after
-      timeout -> stop("it gave no answer in #{timeout} ms", port)
+      timeout -> stop("it did not respond within #{timeout} ms", port)
     end
   end
 
-  # Of another picture the rest may come: the session cannot go on.
+  # A late result could be taken for the next one, so the session cannot continue.
   defp stop(why, port), do: {:stop, :normal, {:error, ended(why)}, port}
 
   @impl true
   def handle_info(_ended, port), do: {:stop, :normal, port}
 
   defp refused(why),
-    do: Error.new(:opencv_failed, "OpenCV refuses this", why: String.slice(why, 0, 300))
+    do: Error.new(:opencv_failed, "OpenCV rejected the request", why: String.slice(why, 0, 300))
 
   defp ended(why),
     do:
-      Error.new(:opencv_ended, "opencv_port gave no result", why: why, fix: "open a new session")
+      Error.new(:opencv_ended, "opencv_port returned no result",
+        why: why,
+        fix: "open a new session"
+      )
 end

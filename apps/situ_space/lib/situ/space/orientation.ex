@@ -4,39 +4,39 @@ defmodule Situ.Space.Orientation do
       type: :number,
       default: 0.5,
       doc:
-        "How fast the accelerometer and the magnetometer pull, 1/s: 0 trusts the gyroscope alone."
+        "How strongly the accelerometer and the magnetometer correct the gyroscope, 1/s; 0 uses only the gyroscope."
     ],
     drift: [
       type: :number,
       default: 0.0,
-      doc: "How fast an offset of the gyroscope is learnt, 1/s2; 0 does not learn it."
+      doc: "How fast the gyroscope's offset is estimated, 1/s2; 0 disables the estimate."
     ],
     magnetometer: [
       type: :boolean,
       default: true,
-      doc: "Whether the field of a reading that has one tells where north is."
+      doc: "Whether to use the magnetic field of readings that have one to find north."
     ],
     still: [
       type: {:optional, :number},
       default: nil,
       doc:
-        "An acceleration off gravity by more than this part of it tells nothing; `nil` lets motions even out."
+        "Ignore accelerations that differ from gravity by more than this fraction of it; `nil` uses all of them."
     ],
     start: [
       type: {:optional, :any},
       default: nil,
       doc:
-        "A quaternion to begin with; by default the first reading tells (without a field, heading 0)."
+        "The initial quaternion; by default it is computed from the first reading (heading 0 without a magnetic field)."
     ]
   ]
 
   @moduledoc """
-  How an inertial sensor is turned, from its readings: the rotation that takes its axes to those of the world, x north
-  (magnetic; without a magnetometer wherever it began), y west, z up.
+  Estimates the orientation of an inertial sensor from its readings: the rotation from the sensor's axes to the world's,
+  x north (magnetic; without a magnetometer the initial heading), y west, z up.
 
-  A complementary filter on the rotation group: R. Mahony, T. Hamel, J.-M. Pflimlin, Nonlinear Complementary Filters on
-  the Special Orthogonal Group, IEEE TAC 53(5), 2008. The gyroscope is integrated; the direction of gravity, and that
-  of the field across it, pull back what drifts.
+  The estimator is a complementary filter on the rotation group: R. Mahony, T. Hamel, J.-M. Pflimlin, Nonlinear
+  Complementary Filters on the Special Orthogonal Group, IEEE TAC 53(5), 2008. It integrates the gyroscope. The
+  direction of gravity, and the horizontal direction of the magnetic field, correct its drift.
 
       iex> alias Situ.Space.Orientation
       iex> level = Situ.ImuReading.new({0.0, 0.0, 9.81}, {0.0, 0.0, 0.1})
@@ -45,13 +45,13 @@ defmodule Situ.Space.Orientation do
       iex> Float.round(yaw, 6)
       0.1
 
-  On streams: `Situ.Space.orientation/2`.
+  For streams, use `Situ.Space.orientation/2`.
   """
   alias Situ.{ImuReading, Quaternion, Vector3}
 
   defstruct [:opts, :time, rotation: nil, drift: {0.0, 0.0, 0.0}]
 
-  @typedoc "`rotation` is `nil` before the first reading; `drift` is what the gyroscope is thought to read at rest."
+  @typedoc "`rotation` is `nil` before the first reading; `drift` is the estimated gyroscope reading at rest."
   @type t :: %__MODULE__{
           opts: map(),
           time: Situ.Time.t() | nil,
@@ -60,21 +60,21 @@ defmodule Situ.Space.Orientation do
         }
 
   @gravity 9.80665
-  # After a longer gap nothing is known of what happened in between.
+  # After a longer gap the motion in between is unknown, so the filter starts again.
   @gap 1_000_000_000
 
   @doc false
   def schema, do: @schema
 
   @doc """
-  A filter.
+  Builds a filter.
 
   #{Situ.Options.docs(@schema)}
   """
   @spec new(keyword()) :: t()
   def new(opts \\ []), do: %__MODULE__{opts: Map.new(Situ.Options.validate!(opts, @schema))}
 
-  @doc "The filter after a reading at an originating time. After a gap of more than a second it begins again."
+  @doc "Updates the filter with a reading at an originating time. After a gap of more than a second it starts again."
   @spec update(t(), ImuReading.t(), Situ.Time.t()) :: t()
   def update(%__MODULE__{time: last} = o, %ImuReading{} = reading, time)
       when last == nil or time - last > @gap,
@@ -103,7 +103,7 @@ defmodule Situ.Space.Orientation do
     end
   end
 
-  # By which rotation (axis times sine) what is measured differs from what the rotation says, in the sensor's axes.
+  # Returns the rotation (axis times sine, in the sensor's axes) between the measured directions and the estimated ones.
   defp pull(reading, %{rotation: rotation, opts: opts}) do
     back = Quaternion.inverse(rotation)
     up = Quaternion.rotate(back, {0.0, 0.0, 1.0})
@@ -129,7 +129,7 @@ defmodule Situ.Space.Orientation do
       else: :error
   end
 
-  # Up times the field, which points north and down: west.
+  # The field points north and down, so the cross product of up and the field points west.
   defp west(%{magnetic_field: {_, _, _} = field}, up, %{magnetometer: true}),
     do: up |> Vector3.cross(field) |> Vector3.normalize()
 

@@ -1,6 +1,6 @@
 defmodule Situ.Space.RayTable do
   @moduledoc """
-  The direction that every pixel of a camera shows, computed once and used for every depth image of that camera.
+  The ray direction of every pixel of a camera, computed once and used for every depth image of that camera.
 
       iex> camera = Situ.CameraIntrinsics.new!(width: 4, height: 2, focal: {2, 2})
       iex> {:ok, table} = Situ.Space.RayTable.new(camera)
@@ -13,19 +13,19 @@ defmodule Situ.Space.RayTable do
   @enforce_keys [:width, :height, :rays]
   defstruct [:width, :height, :rays]
 
-  @typedoc "`rays` holds two 32-bit little-endian floats a pixel: where its ray meets the plane at distance 1."
+  @typedoc "`rays` holds two 32-bit little-endian floats per pixel: where its ray meets the plane at distance 1."
   @type t :: %__MODULE__{width: pos_integer(), height: pos_integer(), rays: binary()}
 
   @schema [
     undistort: [
       type: :boolean,
       default: true,
-      doc: "Whether the distortion of the lens is taken back."
+      doc: "Whether to remove the lens distortion."
     ]
   ]
 
   @doc """
-  The table of a camera. Pixels whose distortion cannot be taken back have no ray, and give no point.
+  Builds the table of a camera. Pixels whose distortion cannot be removed have no ray and yield no point.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -37,7 +37,7 @@ defmodule Situ.Space.RayTable do
          do: {:ok, %__MODULE__{width: c.width, height: c.height, rays: rays}}
   end
 
-  @doc "A table as it is, or that of a camera."
+  @doc "Returns a table unchanged, or builds the table of a camera."
   @spec of(t() | CameraIntrinsics.t()) :: {:ok, t()} | {:error, Error.t()}
   def of(%__MODULE__{} = table), do: {:ok, table}
   def of(%CameraIntrinsics{} = camera), do: new(camera)

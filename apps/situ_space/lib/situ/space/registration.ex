@@ -1,10 +1,9 @@
 defmodule Situ.Space.Registration do
   @moduledoc """
-  Between a depth camera and another camera beside it: which of the other's pixels shows what a pixel of depth shows,
-  where in space lies what the other's pixel shows, and the colours of a cloud.
-
-  Both are given as views (`Situ.CameraView`) with their lenses, and their poses in one frame, so that calibrations of a
-  device (a lens for each, and where one stands in the other's frame) are two views:
+  Relates a depth camera to another camera next to it. It finds the pixel of the other camera that corresponds to a
+  depth pixel, the 3D point that a pixel of the other camera shows, and the colours of a point cloud.
+  Both cameras are given as views (`Situ.CameraView`) with their intrinsics and with poses in the same frame. The
+  calibration of a device (intrinsics for each camera, and the pose of one in the other's frame) yields two such views:
 
       color_pose = Situ.Pose.compose(depth_pose, color_in_depth_frame)
 
@@ -23,9 +22,9 @@ defmodule Situ.Space.Registration do
   alias Situ.Space.{Camera, Depth, Kernel, RayTable}
 
   @doc """
-  The pixel of the other camera that shows what a pixel of depth (whole numbers) shows. Errors: `:unknown` where nothing
-  was measured, and those of `Situ.Space.Camera`. Whether something nearer hides it from the other camera is not looked
-  at.
+  Returns the pixel of the other camera that shows the same point as a depth pixel (integers). Returns the error
+  `:unknown` if nothing was measured there, and the errors of `Situ.Space.Camera`. It does not check for nearer objects
+  that hide the point from the other camera.
   """
   @spec pixel(CameraView.t(DepthImage.t()), CameraView.t(), {integer(), integer()}) ::
           {:ok, Camera.pixel()} | {:error, :unknown | :not_invertible | :behind | :outside}
@@ -43,8 +42,8 @@ defmodule Situ.Space.Registration do
   end
 
   @doc """
-  Where in space (the frame of the poses) lies what a pixel of the other camera shows, as far as the depth camera saw
-  it; `nil` where it did not. Options as of `Situ.Space.Depth.intersection/3`: the answer is good to one `step`.
+  Returns the 3D point (in the frame of the poses) that a pixel of the other camera shows, or `nil` if the depth camera
+  did not see it. Takes the options of `Situ.Space.Depth.intersection/3`; the result is accurate to one `step`.
   """
   @spec point(CameraView.t(DepthImage.t()), CameraView.t(), Camera.pixel(), keyword()) ::
           Vector3.t() | nil
@@ -56,10 +55,10 @@ defmodule Situ.Space.Registration do
   end
 
   @doc """
-  A picture of the depth image's size with the colours that the other camera saw: for clouds
-  (`Situ.Space.Depth.to_cloud/3`, `colors:`). Black where nothing was measured, and beside the other's picture.
+  Returns an image of the depth image's size with the colours that the other camera saw, for
+  `Situ.Space.Depth.to_cloud/3` (`colors:`). Pixels are black where nothing was measured and outside the other image.
 
-  `table:` is the depth camera's `Situ.Space.RayTable`, for many images.
+  `table:` is the depth camera's `Situ.Space.RayTable`, to reuse for many images.
   """
   @spec colors(CameraView.t(DepthImage.t()), CameraView.t(Image.t()), keyword()) ::
           {:ok, Image.t()} | {:error, Error.t()}
@@ -88,8 +87,8 @@ defmodule Situ.Space.Registration do
 
   def colors(_seen, _other, _opts) do
     {:error,
-     Error.new(:bad_image, "colours of depth are those of a view of depth in a view of a picture",
-       fix: "decode the picture first: Situ.Space.View.decode/2"
+     Error.new(:bad_image, "registration needs a view of depth and a view of an image",
+       fix: "decode the image first: Situ.Space.View.decode/2"
      )}
   end
 
@@ -99,8 +98,8 @@ defmodule Situ.Space.Registration do
     {:error,
      Error.new(
        :bad_camera,
-       "a picture of #{picture.width}x#{picture.height} is not of a camera of #{camera.width}x#{camera.height}",
-       fix: "resize views by Situ.Space.View.resize/4, which resizes their intrinsics, too"
+       "the image has #{picture.width}x#{picture.height} pixels, its intrinsics #{camera.width}x#{camera.height}",
+       fix: "resize views with Situ.Space.View.resize/4, which also resizes their intrinsics"
      )}
   end
 end

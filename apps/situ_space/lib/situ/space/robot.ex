@@ -1,7 +1,7 @@
 defmodule Situ.Space.Robot do
   @moduledoc """
-  A robot as its links, the joints between them, and the shapes of its links; where these are for given positions of the
-  joints. `Situ.Space.Robot.Urdf` reads it from a file.
+  A robot: its links, the joints between them, and the shapes of its links. Computes the poses of links and shapes for
+  given joint positions. `Situ.Space.Robot.Urdf` reads robots from files.
 
       {:ok, robot} = Situ.Space.Robot.Urdf.read("arm.urdf")
       joints |> Situ.Space.Robot.posed(robot)        # a stream of Situ.JointState, for a 3D panel
@@ -20,9 +20,9 @@ defmodule Situ.Space.Robot do
   @enforce_keys [:name, :root, :links, :joints]
   defstruct [:name, :root, :links, :joints]
 
-  @typedoc "A shape of a link, in the link's frame, or where one would be whose file cannot be read, and why not."
+  @typedoc "A shape in its link's frame, or the reason why its file cannot be read and the position of the shape."
   @type shape :: Mesh.t() | {String.t(), Situ.Point3.t()}
-  @typedoc "`mimic` is the joint that this one follows, by what factor, and from where."
+  @typedoc "`mimic` is the joint that this one follows, with a factor and an offset."
   @type joint :: %{
           name: String.t(),
           kind: :fixed | :turning | :sliding,
@@ -32,7 +32,7 @@ defmodule Situ.Space.Robot do
           axis: Situ.Vector3.t(),
           mimic: {String.t(), float(), float()} | nil
         }
-  @typedoc "Joints come parents first; `root` is the link that hangs on none."
+  @typedoc "Joints are sorted parents first; `root` is the link without a parent."
   @type t :: %__MODULE__{
           name: String.t(),
           root: String.t(),
@@ -40,12 +40,12 @@ defmodule Situ.Space.Robot do
           joints: [joint()]
         }
 
-  @doc "A stream of `Situ.JointState`s as the robot's shapes, by their links, in the frame of its root."
+  @doc "Converts a stream of `Situ.JointState`s to the robot's shapes by link, in the frame of its root."
   @spec posed(Situ.Stream.t(), t(), keyword()) :: Situ.Stream.t()
   def posed(stream, %__MODULE__{} = robot, placed \\ []),
     do: Situ.map(stream, &shapes(robot, &1), [name: "Robot", type: :map] ++ placed)
 
-  @doc "A stream of `Situ.JointState`s as the frames of the robot's links: lists of `Situ.Transform`s."
+  @doc "Converts a stream of `Situ.JointState`s to the frames of the robot's links: lists of `Situ.Transform`s."
   @spec frames(Situ.Stream.t(), t(), keyword()) :: Situ.Stream.t()
   def frames(stream, %__MODULE__{} = robot, placed \\ []) do
     Situ.map(
@@ -55,7 +55,7 @@ defmodule Situ.Space.Robot do
     )
   end
 
-  @doc "Where each link lies in its parent. Joints of which `state` says nothing, or without one, are at 0."
+  @doc "Returns the pose of each link in its parent. Joints that `state` does not contain are at 0."
   @spec transforms(t(), JointState.t() | nil) :: [Transform.t()]
   def transforms(%__MODULE__{joints: joints}, state \\ nil) do
     told = told(state)
@@ -67,7 +67,7 @@ defmodule Situ.Space.Robot do
           )
   end
 
-  @doc "Where each link lies in the root."
+  @doc "Returns the pose of each link in the root."
   @spec poses(t(), JointState.t() | nil) :: %{String.t() => Pose.t()}
   def poses(%__MODULE__{} = robot, state \\ nil) do
     robot
@@ -77,7 +77,7 @@ defmodule Situ.Space.Robot do
     end)
   end
 
-  @doc "The shapes of each link, in the frame of the root."
+  @doc "Returns the shapes of each link, in the frame of the root."
   @spec shapes(t(), JointState.t() | nil) :: %{String.t() => [shape()]}
   def shapes(%__MODULE__{links: links} = robot, state \\ nil) do
     poses = poses(robot, state)
@@ -90,7 +90,7 @@ defmodule Situ.Space.Robot do
   defp moved(%Mesh{} = mesh, pose), do: Mesh.transform(mesh, pose)
   defp moved({why, point}, pose), do: {why, Situ.Space.move(point, pose)}
 
-  # Other lengths than that of the names cannot be made by `Situ.JointState.new/4`; a recording may hold them.
+  # A recording may contain lists of different lengths, although `Situ.JointState.new/4` rejects them.
   defp told(%JointState{names: names, positions: positions}) do
     for {name, x} <- Enum.zip(names, positions),
         is_number(x),

@@ -1,20 +1,21 @@
 defmodule Situ.Space.Scan do
   @moduledoc """
-  Files of points and surfaces as recordings of one message: `Situ.Store.open("hill.las")`, `bin/situ studio chair.ply`.
+  Opens files of points and surfaces as recordings of one message: `Situ.Store.open("hill.las")`,
+  `bin/situ studio chair.ply`.
 
-  | ending | what is read | stream |
+  | extension | content read | stream |
   |---|---|---|
   | `.dae` | Collada 1.4 and 1.5: the scene's triangles, in metres and z up, without materials | `Mesh` |
   | `.glb`, `.gltf` | glTF 2.0 with its files, not compressed: the scene's triangles, without materials | `Mesh` |
   | `.las`, `.laz` | LAS 1.0 to 1.4, compressed or not, with colours | `Points`: a `Situ.PointCloud` |
-  | `.obj` | OBJ: vertices and faces, without materials | `Mesh`, or `Points` where there are no faces |
+  | `.obj` | OBJ: vertices and faces, without materials | `Mesh`, or `Points` for files without faces |
   | `.pcd` | PCD 0.7 as text, bytes or compressed bytes, with colours | `Points` |
   | `.ply` | PLY as text or bytes, with colours, intensity or faces | `Points`, or `Mesh`: a `Situ.Mesh` |
   | `.stl` | STL as bytes or text | `Mesh` |
 
-  Places of a LAS file are measured from the lower corner of its bounds, since 32 bits do not hold a country to the
-  millimetre; `Situ.Store.info/1` tells that corner as `origin`. Such files have no time: the message's is 0.
-  Files are read as a whole, up to 2 GB.
+  Positions in a LAS file are relative to the lower corner of its bounds, because 32-bit floats cannot represent
+  coordinates of a country to the millimetre. `Situ.Store.info/1` reports that corner as `origin`. Such files have no
+  time, so the message has time 0. Files are read into memory and may have up to 2 GB.
   """
   @behaviour Situ.Store.Reader
 
@@ -35,8 +36,8 @@ defmodule Situ.Space.Scan do
   @most 2_000_000_000
 
   @doc """
-  The points or the surface of a file. With `axes: :own` a Collada file's numbers are not turned to z up: files of
-  robots mean them as they are.
+  Reads the points or the surface of a file. With `axes: :own` the axes of a Collada file are not converted to z up,
+  because robot files use its coordinates unchanged.
   """
   @spec read(Path.t(), keyword()) :: {:ok, PointCloud.t() | Mesh.t()} | {:error, Error.t()}
   def read(path, opts \\ []), do: with({:ok, scan} <- open(path, opts), do: {:ok, scan.data})

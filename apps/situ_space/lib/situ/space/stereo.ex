@@ -3,48 +3,48 @@ defmodule Situ.Space.Stereo do
     least: [
       type: {:range, -1_024, 1_024},
       default: 0,
-      doc: "The least disparity that is looked for, pixels."
+      doc: "The smallest disparity to search for, pixels."
     ],
     count: [
       type: {:range, 16, 512},
       default: 64,
-      doc: "How many are looked for, a multiple of 16: what is nearer than the last is not found."
+      doc: "The number of disparities to search, a multiple of 16. Nearer objects are not found."
     ],
     block: [
       type: {:in, [1, 3, 5, 7, 9, 11]},
       default: 5,
-      doc: "Width of the blocks that are compared, pixels."
+      doc: "The width of the blocks to compare, pixels."
     ],
     whole: [
       type: :boolean,
       default: false,
       doc:
-        "Search along eight directions instead of five: better, slower, and 9 bytes for each pixel and disparity."
+        "Search along eight directions instead of five: better, slower, and needs 9 bytes per pixel and disparity."
     ],
     fill: [
       type: :boolean,
       default: false,
       doc:
-        "Give pixels without a disparity the lesser one of their neighbours in the row: most are hidden."
+        "Fill pixels without a disparity with the smaller disparity of their neighbours in the row: most are occluded."
     ],
     session: [
       type: {:optional, {:struct, Situ.Space.OpenCV}},
       default: nil,
-      doc: "A session of `Situ.Space.OpenCV.open/1`, for many pictures."
+      doc: "A session of `Situ.Space.OpenCV.open/1`, to reuse for many images."
     ]
   ]
 
   @moduledoc """
-  Depth from two pictures of cameras side by side, by semi-global matching (H. Hirschmueller, Stereo Processing by
-  Semi-Global Matching and Mutual Information, 2008; OpenCV's, through `Situ.Space.OpenCV`).
+  Computes depth from the images of two cameras side by side, by semi-global matching (H. Hirschmueller, Stereo
+  Processing by Semi-Global Matching and Mutual Information, 2008), as implemented by OpenCV (`Situ.Space.OpenCV`).
 
-  The pictures are rectified: what is in a row of the left one is in the same row of the right one, further left by its
-  disparity. Depth is focal length times the distance between the cameras, over disparity.
+  The images must be rectified: an object in a row of the left image is in the same row of the right one, further left
+  by its disparity. Depth is focal length times the distance between the cameras, divided by disparity.
 
       {:ok, depth} = Situ.Space.Stereo.depth(left, right, focal: 994.98, baseline: 0.193)
       {:ok, cloud} = Situ.Space.Depth.to_cloud(depth, table)
 
-  `Situ.Space.StereoDepth` does it on streams.
+  For streams, use `Situ.Space.StereoDepth`.
 
   ## Options
 
@@ -52,18 +52,18 @@ defmodule Situ.Space.Stereo do
 
   ## Errors
 
-  `:bad_image` of pictures that differ in size, `:bad_option`, `:no_opencv_port`, `:opencv_failed`.
+  `:bad_image` for images that differ in size, `:bad_option`, `:no_opencv_port`, `:opencv_failed`.
   """
   alias Situ.{DepthImage, Error, Image}
   alias Situ.Space.{Chessboard, OpenCV}
 
-  @doc "The options, for modules that take them, too."
+  @doc "Returns the options, for modules that also offer them."
   @spec schema() :: keyword()
   def schema, do: @schema
 
   @doc """
-  The disparity of each pixel of the left picture, row by row: 16-bit little-endian numbers in sixteenths of a pixel;
-  those below `least` are not known.
+  Returns the disparity of each pixel of the left image, row by row, as 16-bit little-endian numbers in sixteenths of a
+  pixel. Values below `least` mean that the disparity is unknown.
   """
   @spec disparity(Image.t(), Image.t(), keyword()) :: {:ok, binary()} | {:error, Error.t()}
   def disparity(%Image{} = left, %Image{} = right, opts \\ []) do
@@ -83,22 +83,26 @@ defmodule Situ.Space.Stereo do
   end
 
   @optics [
-    focal: [type: :number, required: true, doc: "Focal length of the rectified pictures, pixels."],
-    baseline: [type: :number, required: true, doc: "How far the cameras are from one another, m."],
+    focal: [
+      type: :number,
+      required: true,
+      doc: "The focal length of the rectified images, pixels."
+    ],
+    baseline: [type: :number, required: true, doc: "The distance between the cameras, m."],
     offset: [
       type: :number,
       default: 0.0,
-      doc: "How much further right the principal point of the right camera lies, pixels."
+      doc: "The horizontal offset of the right camera's principal point, to the right, pixels."
     ],
-    scale: [type: :number, default: 0.001, doc: "Metres for a value of 1 in the depth image."]
+    scale: [type: :number, default: 0.001, doc: "Metres per unit of the depth image."]
   ]
 
-  @doc "The options of `depth/3` beside those of `disparity/3`."
+  @doc "Returns the options that `depth/3` takes in addition to the options of `disparity/3`."
   @spec optics() :: keyword()
   def optics, do: @optics
 
   @doc """
-  The depth of each pixel of the left picture.
+  Returns the depth of each pixel of the left image.
 
   #{Situ.Options.docs(@optics)}
   """
@@ -133,7 +137,7 @@ defmodule Situ.Space.Stereo do
 
   defp same(left, right) do
     {:error,
-     Error.new(:bad_image, "the two pictures differ in size",
+     Error.new(:bad_image, "the two images differ in size",
        why:
          "one has #{left.width}x#{left.height} pixels, the other #{right.width}x#{right.height}",
        fix: "crop or resize one, and rectify both"
@@ -146,7 +150,7 @@ defmodule Situ.Space.Stereo do
     {:error,
      Error.new(
        :bad_option,
-       "#{count} disparities cannot be looked for in pictures #{width} pixels wide",
+       "invalid count: #{count} disparities in images #{width} pixels wide",
        fix: "give a multiple of 16 below the width"
      )}
   end

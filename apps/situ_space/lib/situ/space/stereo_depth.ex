@@ -2,13 +2,13 @@ defmodule Situ.Space.StereoDepth do
   @schema Situ.Space.Stereo.optics() ++ Keyword.delete(Situ.Space.Stereo.schema(), :session)
 
   @moduledoc """
-  Depth images from pairs of rectified pictures: `Situ.Space.Stereo` on a stream, with one program for all of it.
+  Computes depth images from a stream of pairs of rectified images with `Situ.Space.Stereo`, in one `opencv_port`.
 
       left
       |> Situ.join(right)
       |> Situ.via(Situ.Space.StereoDepth, focal: 994.98, baseline: 0.193)
 
-  Input: pairs `{left, right}` of `Situ.Image`. A pair that cannot be used is the component's error (`on_error:`).
+  Input: pairs `{left, right}` of `Situ.Image`. An invalid pair is an error of the component (`on_error:`).
 
   ## Options
 
@@ -24,7 +24,7 @@ defmodule Situ.Space.StereoDepth do
     with {:ok, _} <- OpenCV.program(), do: {:ok, %{opts: opts, session: nil}}
   end
 
-  # A session ends with the process that opened it.
+  # A session ends with the process that opened it, so it is opened by the component's process.
   @impl true
   def handle_message(:in, message, context, %{session: nil} = state) do
     session = Error.unwrap!(OpenCV.open())

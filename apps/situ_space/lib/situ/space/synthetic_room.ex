@@ -4,41 +4,45 @@ defmodule Situ.Space.SyntheticRoom do
   alias Situ.Space.SyntheticRoom.{Scene, Voice}
 
   @schema [
-    width: [type: :pos_integer, default: 640, doc: "Pixels in a row."],
-    height: [type: :pos_integer, default: 480, doc: "Rows."],
-    rate: [type: :pos_integer, default: 30, doc: "Pictures a second."],
-    seconds: [type: {:optional, :number}, default: nil, doc: "How long; `nil` has no end."],
+    width: [type: :pos_integer, default: 640, doc: "The width of the images, pixels."],
+    height: [type: :pos_integer, default: 480, doc: "The height of the images, pixels."],
+    rate: [type: :pos_integer, default: 30, doc: "Images per second."],
+    seconds: [type: {:optional, :number}, default: nil, doc: "The duration; `nil` for no end."],
     sway: [
       type: :number,
       default: 0.03,
-      doc: "How far the camera moves about its place, metres and radians; 0 stands still."
+      doc: "How far the camera moves around its position, metres and radians; 0 keeps it still."
     ],
     speech: [
       type: {:optional, {:list, :any}},
       default: nil,
-      doc: "Who speaks when: `{0 or 1, from, to}` in seconds; by default in turn."
+      doc: "When each person speaks: `{0 or 1, from, to}` in seconds; by default they take turns."
     ],
-    imu_rate: [type: :pos_integer, default: 100, doc: "Readings of the inertial sensor a second."],
-    sound_rate: [type: :pos_integer, default: 16_000, doc: "Samples of sound a second."]
+    imu_rate: [
+      type: :pos_integer,
+      default: 100,
+      doc: "Readings of the inertial sensor per second."
+    ],
+    sound_rate: [type: :pos_integer, default: 16_000, doc: "Audio samples per second."]
   ]
 
   @moduledoc """
-  A room that is not there, seen by a depth camera: two people, furniture, a ball that floats. Everything is known
-  exactly, and the same every time: for trying things without hardware, and for holding results against the truth.
+  A rendered room, seen by a depth camera: two people, furniture and a floating ball. Everything is known exactly and is
+  the same on every run. Use it to try things without hardware, and to compare results with the ground truth.
 
       camera = Situ.Space.DepthCamera.open(p, {Situ.Space.SyntheticRoom, seconds: 10})
       Situ.each(camera.depth, fn view -> IO.inspect(view.viewed) end)
 
-  The streams beside `depth` and `color` (both `Situ.CameraView`s) are in `others`:
+  The streams other than `depth` and `color` (both `Situ.CameraView`s) are in `others`:
 
     * `bodies`: a list of `Situ.Skeleton`, ids 0 and 1
     * `pointing`: the `Situ.Ray3` along which person 1 points at the ball
-    * `ball`: where the ball is, a `Situ.Point3`
+    * `ball`: the position of the ball, a `Situ.Point3`
     * `imu`: `Situ.ImuReading`s of a sensor in the camera
     * `sound`: `Situ.AudioBuffer`s, mono, 16 bits
     * `speaking`: a map of person and whether that person speaks
 
-  Depth is exact to the millimetre that its 16 bits count, 0 where it is farther than they reach.
+  Depth is exact to one millimetre, the unit of its 16 bits, and 0 beyond their range.
 
   ## Options
 
@@ -69,7 +73,7 @@ defmodule Situ.Space.SyntheticRoom do
     %DepthCamera{depth: depth, color: color, others: others}
   end
 
-  @doc "The intrinsics of a camera with so many pixels: 62 degrees wide, without distortion."
+  @doc "Returns the intrinsics of a camera with images of this size: 62 degrees wide, without distortion."
   @spec intrinsics(pos_integer(), pos_integer()) :: CameraIntrinsics.t()
   def intrinsics(width, height) do
     focal = width * 525 / 640
@@ -108,7 +112,7 @@ defmodule Situ.Space.SyntheticRoom do
     end
   end
 
-  # The messages since the last picture, up to and including this one.
+  # Returns the messages after the last image, up to and including this one.
   defp actions(frame, time, %{opts: opts} = state) do
     scene = Scene.at(frame / opts.rate, opts.speech, opts.sway)
     {depth, color} = views!(scene, state)
@@ -124,7 +128,7 @@ defmodule Situ.Space.SyntheticRoom do
     ] ++ readings(frame, state) ++ sound(frame, state)
   end
 
-  @doc "The depth and the colour picture of a scene, each a `Situ.CameraView`."
+  @doc "Renders the depth and the colour image of a scene, each as a `Situ.CameraView`."
   @spec views(Scene.t(), CameraIntrinsics.t(), RayTable.t()) ::
           {:ok, {CameraView.t(DepthImage.t()), CameraView.t(Image.t())}}
           | {:error, Situ.Error.t()}
@@ -149,7 +153,7 @@ defmodule Situ.Space.SyntheticRoom do
           {:imu, start + div(n * @second, opts.imu_rate), Scene.imu(n / opts.imu_rate, opts.sway)}
   end
 
-  # The sound that ends with this picture; before the first there was none.
+  # Returns the audio between the last image and this one. Before the first image there was none.
   defp sound(0, _state), do: []
 
   defp sound(frame, %{opts: opts, start: start}) do
@@ -160,7 +164,7 @@ defmodule Situ.Space.SyntheticRoom do
     [{:sound, time, AudioBuffer.from_samples(samples, AudioFormat.pcm(opts.sound_rate))}]
   end
 
-  # The numbers of what comes `rate` times a second after the last picture and until this one.
+  # Returns the sample numbers of a stream with `rate` messages per second, after the last image and until this one.
   defp span(0, _rate, _pictures), do: 0..0
 
   defp span(frame, rate, pictures),

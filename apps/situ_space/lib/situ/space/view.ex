@@ -1,7 +1,7 @@
 defmodule Situ.Space.View do
   @moduledoc """
-  Views of a camera (`Situ.CameraView`), with their picture made smaller, cut, converted, encoded or decoded. The
-  intrinsics change with the picture's size, so that pixels of the new one still show where they showed.
+  Resizes, crops, converts, encodes and decodes the images in camera views (`Situ.CameraView`). The intrinsics change
+  with the size of the image, so that each pixel of the new image still shows the same direction.
 
       iex> camera = Situ.CameraIntrinsics.new!(width: 64, height: 48, focal: {50, 50})
       iex> view = Situ.CameraView.new(Situ.Image.filled(64, 48, :rgb24, :red), camera, Situ.Pose.identity())
@@ -9,7 +9,7 @@ defmodule Situ.Space.View do
       iex> {small.viewed.width, small.intrinsics.focal, small.intrinsics.principal}
       {32, {25.0, 25.0}, {16.0, 12.0}}
 
-  On streams:
+  For streams:
 
       Situ.map(camera.color, &Situ.Error.unwrap!(Situ.Space.View.encode(&1, quality: 80)))
   """
@@ -18,8 +18,8 @@ defmodule Situ.Space.View do
   @type result :: {:ok, CameraView.t()} | {:error, Error.t()}
 
   @doc """
-  The view with a picture of so many pixels. Options as of `Situ.Imaging.resize/4`; depth takes the nearest pixel, since
-  the mean of a wall and what stands before it is nowhere.
+  Resizes the image of a view. Takes the options of `Situ.Imaging.resize/4`. Depth uses the nearest pixel, because the
+  mean of a wall and an object in front of it would be a false depth.
   """
   @spec resize(CameraView.t(), pos_integer(), pos_integer(), keyword()) :: result()
   def resize(view, width, height, opts \\ [])
@@ -44,7 +44,7 @@ defmodule Situ.Space.View do
 
   defp resized(error, _view, _width, _height), do: error
 
-  @doc "The view with a picture that is larger or smaller by a factor; sizes are rounded to whole pixels, at least 1."
+  @doc "Scales the image of a view by a factor. Sizes are rounded to integers, with a minimum of 1."
   @spec scale(CameraView.t(), number(), keyword()) :: result()
   def scale(view, factor, opts \\ [])
 
@@ -53,9 +53,11 @@ defmodule Situ.Space.View do
       do: resize(view, max(round(w * factor), 1), max(round(h * factor), 1), opts)
 
   def scale(%CameraView{}, factor, _opts),
-    do: {:error, Error.new(:bad_option, "a picture cannot be scaled by #{inspect(factor)}")}
+    do:
+      {:error,
+       Error.new(:bad_option, "the scale must be a positive number, got #{inspect(factor)}")}
 
-  @doc "The part of a view in a rectangle of whole pixels, `{x, y, width, height}`, which must lie in the picture."
+  @doc "Crops a view to a rectangle of integers, `{x, y, width, height}`, which must be inside the image."
   @spec crop(CameraView.t(), {integer(), integer(), pos_integer(), pos_integer()}) :: result()
   def crop(%CameraView{viewed: %module{} = viewed} = view, {x, y, w, h} = part)
       when module in [Image, DepthImage] and is_integer(x) and is_integer(y) and is_integer(w) and
@@ -68,7 +70,7 @@ defmodule Situ.Space.View do
 
   def crop(view, _part), do: no_pixels(view)
 
-  @doc "The view with its picture in another format, as `Situ.Imaging.convert/2`."
+  @doc "Converts the image of a view to another format, like `Situ.Imaging.convert/2`."
   @spec convert(CameraView.t(), Image.format()) :: result()
   def convert(%CameraView{viewed: %Image{}} = view, format),
     do: CameraView.map(view, &Imaging.convert(&1, format))
@@ -76,8 +78,8 @@ defmodule Situ.Space.View do
   def convert(view, _format), do: no_pixels(view)
 
   @doc """
-  The view with its picture as JPEG (`quality:`, 90), or as PNG with `format: :png`; depth always as PNG. A PNG does not
-  say in which unit depth is, and what it measures: tell it to `decode/2`.
+  Encodes the image of a view as JPEG (`quality:`, 90), or as PNG with `format: :png`. Depth is always encoded as PNG,
+  which does not contain the unit and the meaning of depth values. Pass them to `decode/2`.
   """
   @spec encode(CameraView.t(), keyword()) :: result()
   def encode(view, opts \\ [])
@@ -87,17 +89,23 @@ defmodule Situ.Space.View do
 
   def encode(%CameraView{viewed: %Image{}} = view, opts) do
     case Keyword.pop(opts, :format, :jpeg) do
-      {:png, opts} -> CameraView.map(view, &Imaging.encode_png(&1, opts))
-      {:jpeg, opts} -> CameraView.map(view, &Imaging.encode_jpeg(&1, opts))
-      {other, _} -> {:error, Error.new(:bad_option, "no picture is encoded as #{inspect(other)}")}
+      {:png, opts} ->
+        CameraView.map(view, &Imaging.encode_png(&1, opts))
+
+      {:jpeg, opts} ->
+        CameraView.map(view, &Imaging.encode_jpeg(&1, opts))
+
+      {other, _} ->
+        {:error,
+         Error.new(:bad_option, "the format must be :jpeg or :png, got #{inspect(other)}")}
     end
   end
 
   def encode(view, _opts), do: no_pixels(view)
 
   @doc """
-  The view with its encoded picture decoded; as depth where `depth:` gives its unit and what it measures, as
-  `Situ.DepthImage.from_gray16/2`.
+  Decodes the encoded image of a view. With `depth:`, which gives the unit and meaning of its values, it is decoded as
+  depth, like `Situ.DepthImage.from_gray16/2`.
 
       iex> camera = Situ.CameraIntrinsics.new!(width: 2, height: 1, focal: {2, 2})
       iex> depth = Situ.DepthImage.new!(width: 2, height: 1, data: <<1000::little-16, 0::16>>, scale: 0.002)
@@ -121,9 +129,9 @@ defmodule Situ.Space.View do
     name = if is_struct(viewed), do: inspect(viewed.__struct__), else: inspect(viewed, limit: 3)
 
     {:error,
-     Error.new(:bad_image, "a view of #{name} cannot be changed like this",
-       why: "it needs a picture or depth; encoded ones are decoded first, and only these can be",
-       fix: "Situ.Space.View.decode/2 decodes a view's picture"
+     Error.new(:bad_image, "this operation does not support views of #{name}",
+       why: "only images and depth images can be changed, and only encoded images can be decoded",
+       fix: "decode encoded images first with Situ.Space.View.decode/2"
      )}
   end
 end

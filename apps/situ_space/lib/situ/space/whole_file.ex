@@ -1,9 +1,12 @@
 defmodule Situ.Space.WholeFile do
   @moduledoc false
-  # Files that are read as a whole: opened, bounded, parsed; what is wrong with one names it.
+  # Reads a whole file of limited size and parses it. Errors contain the path of the file.
   alias Situ.Error
 
-  @doc "The answer of `parse` to the bytes of a file of at most so many. Errors: its own, `:too_large`, `:no_file`."
+  @doc """
+  Calls `parse` with the bytes of a file and returns its result. Errors are `:no_file`, `:too_large` for a file of more
+  than `most` bytes, and the errors of `parse`.
+  """
   @spec read(Path.t(), pos_integer(), (binary() -> tuple())) :: tuple()
   def read(path, most, parse) do
     with {:ok, %{size: size}} when size <= most <- File.stat(path),
@@ -13,9 +16,9 @@ defmodule Situ.Space.WholeFile do
     else
       {:ok, %{size: size}} ->
         {:error,
-         Error.new(:too_large, "#{path} has #{size} bytes",
-           why: "such files are read as a whole",
-           fix: "cut it"
+         Error.new(:too_large, "#{path} has #{size} bytes, which is too large",
+           why: "files of this type are read into memory and limited in size",
+           fix: "split the file into smaller ones"
          )}
 
       {:error, reason} ->

@@ -1,14 +1,14 @@
 defmodule Situ.Space.Xml do
   @moduledoc false
-  # XML from outside: no document type (its entities may grow without end, or name other files), UTF-8 only, and no atom
-  # is made of a name.
+  # Parses untrusted XML. Document types are rejected, because their entities may grow without limit or refer to other
+  # files. Only UTF-8 is accepted, and names do not become atoms.
 
-  @typedoc "A name, attributes, and the elements in it; with `texts: true` its text is the attribute `:text`."
+  @typedoc "A name, attributes and child elements; with `texts: true` the text is the attribute `:text`."
   @type element :: {String.t(), %{(String.t() | :text) => String.t()}, [element()]}
   @deepest 200
 
   @doc """
-  Gives the events of `:xmerl_sax_parser` to `fun`; its last state, or the reason why this is no such XML.
+  Reduces the events of `:xmerl_sax_parser` with `fun`. Returns the final state, or the reason why the XML is invalid.
   """
   @spec events(binary(), (term(), term(), state -> state), state) ::
           {:ok, state} | {:error, String.t()}
@@ -16,7 +16,7 @@ defmodule Situ.Space.Xml do
   def events(bytes, fun, state) do
     cond do
       :binary.match(bytes, ["<!DOCTYPE", "<!ENTITY"]) != :nomatch ->
-        {:error, "it has a document type, which such files have not"}
+        {:error, "it has a document type, which is not allowed"}
 
       :binary.match(bytes, <<0>>) != :nomatch ->
         {:error, "it is not well-formed XML in UTF-8"}
@@ -47,7 +47,7 @@ defmodule Situ.Space.Xml do
     do: {:error, "it is not well-formed XML: #{inspect(reason, limit: 5)}"}
 
   @doc """
-  Its elements as a tree; their texts only with `texts: true`.
+  Parses XML to a tree of elements; with `texts: true` they contain their texts.
 
       iex> Situ.Space.Xml.tree(~s(<a b="1"><c/></a>))
       {:ok, {"a", %{"b" => "1"}, [{"c", %{}, []}]}}
@@ -58,13 +58,13 @@ defmodule Situ.Space.Xml do
   def tree(bytes, opts \\ []) do
     case events(bytes, if(opts[:texts], do: &texts/3, else: &grow/3), []) do
       {:ok, [root]} -> {:ok, root}
-      {:ok, :deep} -> {:error, "it has elements in elements without end"}
-      {:ok, _} -> {:error, "it holds no element"}
+      {:ok, :deep} -> {:error, "its elements are nested too deeply"}
+      {:ok, _} -> {:error, "it has no elements"}
       error -> error
     end
   end
 
-  # The elements that are open, the innermost first; the last one to close is the root.
+  # The state lists the open elements, innermost first. The last one to close is the root.
   defp grow(_event, _where, :deep), do: :deep
 
   defp grow({:startElement, _, _, _, _}, _, open) when length(open) > @deepest, do: :deep
@@ -84,7 +84,7 @@ defmodule Situ.Space.Xml do
 
   defp grow(_event, _where, open), do: open
 
-  # As above; the texts of an element are gathered, and put together when it closes.
+  # Works like the function above, but collects the texts of an element and joins them when it closes.
   defp texts({:characters, text}, _, [{name, given, inner} | open]) do
     part = :unicode.characters_to_binary(text)
     [{name, Map.update(given, :text, [part], &[&1 | [part]]), inner} | open]

@@ -3,47 +3,49 @@ defmodule Situ.Space.DepthCamera.Device do
     device: [
       type: :string,
       default: "v4l2:/dev/video0",
-      doc: "The device that gives depth, see `Situ.Media.Device`."
+      doc: "The device that delivers depth, see `Situ.Media.Device`."
     ],
     intrinsics: [
       type: {:struct, Situ.CameraIntrinsics},
       required: true,
-      doc: "The lens of the depth camera, for pictures of the size that it gives."
+      doc: "The intrinsics of the depth camera, for images of the size that it delivers."
     ],
     pose: [
       type: {:optional, {:struct, Situ.Pose}},
       default: nil,
-      doc: "Where the camera is; `nil`: at the origin, looking along x."
+      doc: "The camera's pose; `nil` is the origin, looking along x."
     ],
-    scale: [type: :number, default: 0.001, doc: "Metres for a value of 1."],
+    scale: [type: :number, default: 0.001, doc: "Metres per depth unit."],
     semantics: [
       type: {:in, [:plane, :point]},
       default: :plane,
-      doc: "To the plane through the camera, or along the ray: see `Situ.DepthImage`."
+      doc:
+        "Whether depth is measured to the plane through the camera, or along the ray, see `Situ.DepthImage`."
     ],
-    rate: [type: {:optional, :pos_integer}, default: nil, doc: "Pictures a second."],
+    rate: [type: {:optional, :pos_integer}, default: nil, doc: "Images per second."],
     color: [
       type: {:optional, :string},
       default: nil,
-      doc: "The device that gives colour from the same place; `nil`: none."
+      doc: "The device that delivers colour from the same viewpoint; `nil` for no colour."
     ],
     color_intrinsics: [
       type: {:optional, {:struct, Situ.CameraIntrinsics}},
       default: nil,
-      doc: "Its lens; `nil`: that of depth."
+      doc: "The intrinsics of the colour device; `nil` uses the intrinsics of the depth camera."
     ]
   ]
 
   @moduledoc """
-  A depth camera that is a device of the Linux kernel: V4L2's format Z16, 16 bits a pixel (RealSense cameras and others
-  whose drivers speak it).
+  A depth camera that is a device of the Linux kernel and delivers V4L2's format Z16, 16 bits per pixel (RealSense
+  cameras and others with such drivers).
 
       lens = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {383, 383}, principal: {320, 240})
       camera = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Device, device: "/dev/video2", intrinsics: lens})
 
-  `situ devices` lists the nodes of a camera with their formats; the one with `Z16` gives depth. Times, drops and losses
-  are those of `Situ.Media.Camera`. Tests run it on a device that FFmpeg computes (`lavfi:`); it was not tried on
-  hardware. A picture of another size than the lens has is an error, which names both.
+  `situ devices` lists the nodes of a camera with their formats; the node with `Z16` delivers depth. Timestamps, dropped
+  images and the loss of the camera are handled as in `Situ.Media.Camera`. The tests use a device that FFmpeg
+  synthesizes (`lavfi:`); it was not tried on hardware. If the images and the intrinsics differ in size, an error
+  reports both sizes.
 
   ## Options
 
@@ -61,7 +63,7 @@ defmodule Situ.Space.DepthCamera.Device do
     lens = opts.intrinsics
     color_lens = opts.color_intrinsics || lens
 
-    # Depth is not scaled: between near and far there would be distances where nothing is.
+    # Depth is not scaled: interpolation between near and far pixels would invent surfaces between them.
     depth =
       p
       |> Camera.open(
@@ -69,7 +71,7 @@ defmodule Situ.Space.DepthCamera.Device do
         size: nil,
         rate: opts.rate,
         format: :gray16,
-        # FFmpeg's word for V4L2's Z16
+        # FFmpeg's name for V4L2's Z16
         input_format: "gray16le",
         args: asked(opts.device, lens)
       )
@@ -85,7 +87,7 @@ defmodule Situ.Space.DepthCamera.Device do
     %DepthCamera{depth: depth, color: opts.color && color(p, opts, color_lens, pose)}
   end
 
-  # A camera may give several sizes.
+  # A camera may support several sizes, so the size of the intrinsics is requested.
   defp asked(device, lens) do
     case Device.parse(device) do
       {:ok, {Device.V4L2, _}} -> ["-video_size", "#{lens.width}x#{lens.height}"]
@@ -105,9 +107,9 @@ defmodule Situ.Space.DepthCamera.Device do
   defp sized(%Image{} = picture, lens) do
     raise Error.new(
             :bad_camera,
-            "the camera gives pictures of #{picture.width}x#{picture.height}, its intrinsics are " <>
+            "the camera gives images of #{picture.width}x#{picture.height}, its intrinsics are " <>
               "for #{lens.width}x#{lens.height}",
-            fix: "give the intrinsics for the size that the camera gives"
+            fix: "give the intrinsics for the size that the camera delivers"
           )
   end
 

@@ -4,55 +4,56 @@ defmodule Situ.Space.DepthCamera.Library do
       type: :string,
       default: "openni2:",
       doc:
-        "`\"openni2:URI\"`, `\"freenect:INDEX\"` (without a URI or an index: the first), or `\"fakenect:FOLDER\"`."
+        "`\"openni2:URI\"`, `\"freenect:INDEX\"` (the first if URI or INDEX is empty), or `\"fakenect:FOLDER\"`."
     ],
     intrinsics: [
       type: {:optional, {:struct, Situ.CameraIntrinsics}},
       default: nil,
-      doc: "The lens of depth; `nil`: as the library tells it."
+      doc: "The intrinsics of the depth camera; by default as reported by the library."
     ],
     color_intrinsics: [
       type: {:optional, {:struct, Situ.CameraIntrinsics}},
       default: nil,
-      doc: "The lens of colour; `nil`: as the library tells it, or else that of depth."
+      doc:
+        "The intrinsics of the colour camera; by default as reported by the library, or else equal to depth."
     ],
     pose: [
       type: {:optional, {:struct, Situ.Pose}},
       default: nil,
-      doc: "Where the camera is; `nil`: at the origin, looking along x."
+      doc: "The camera's pose; `nil` is the origin, looking along x."
     ],
     reconnect: [
       type: :boolean,
       default: true,
-      doc: "When the camera is lost while it runs, try again every second."
+      doc: "Whether to reconnect every second after a running camera was lost."
     ],
     stall_timeout: [
       type: :pos_integer,
       default: 10_000_000_000,
-      doc: "A camera that sends nothing for so long (ns) counts as lost."
+      doc: "A camera that sends nothing for this long (ns) counts as lost."
     ]
   ]
 
   @moduledoc """
-  A depth camera that a library of Debian's knows: by OpenNI 2 those of PrimeSense, Asus (Xtion) and their kin, by
-  libfreenect the Kinect for Xbox 360.
+  A depth camera that is supported by a library in Debian: OpenNI 2 for cameras of PrimeSense, Asus (Xtion) and
+  compatible ones, libfreenect for the Kinect for Xbox 360.
 
       camera = Situ.Space.DepthCamera.open(p, Situ.Space.DepthCamera.Library)
       kinect = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Library, device: "freenect:0"})
 
-  The libraries run in the program `depth_port` beside, which `bin/setup --with depth` builds: one that crashes ends
-  that program only. `list/0` and `situ devices` name the cameras that are there. `"fakenect:FOLDER"` plays a folder
-  that libfreenect's `fakenect-record` has written, at its own speed.
+  The libraries run in the separate program `depth_port`, which `bin/setup --with depth` builds, so a crash ends only
+  that program. `list/0` and `situ devices` list the connected cameras. `"fakenect:FOLDER"` plays a folder written by
+  libfreenect's `fakenect-record`, at its original speed.
 
-  Depth is in millimetres; a Kinect's lies on its colour picture, as libfreenect registers it (that of a folder does
-  not). Times are those of the arrival in the program. A camera cannot wait: pictures that nobody takes in time are
-  lost, the newest first, and `Situ.Pipeline.info/1` shows how many.
+  Depth is in millimetres. libfreenect registers a Kinect's depth to its colour image (but not the depth of a folder).
+  Timestamps are arrival times in the program. A camera cannot wait: images that are not taken in time are dropped,
+  newest first, and `Situ.Pipeline.info/1` shows how many.
 
-  Not tried on hardware: OpenNI's own dummy device and folders as `fakenect-record` writes them are in the tests.
-  libfreenect's tilt motor, light, microphones and acceleration are not read.
+  This was not tried on hardware. The tests use OpenNI's dummy device and folders in the format of `fakenect-record`.
+  libfreenect's tilt motor, light, microphones and accelerometer are not read.
 
-  Errors, when the pipeline starts: `:no_depth_port`, `:no_camera` (with the library's words), `:no_intrinsics` where
-  the library does not tell the lens, `:bad_camera` where pictures have another size than the lens.
+  Errors when the pipeline starts: `:no_depth_port`, `:no_camera` (with the library's message), `:no_intrinsics` if the
+  library does not report them, `:bad_camera` if images and intrinsics differ in size.
 
   ## Options
 
@@ -73,11 +74,11 @@ defmodule Situ.Space.DepthCamera.Library do
     %DepthCamera{depth: seen.depth, color: seen.color}
   end
 
-  @doc "Whether `depth_port` was built."
+  @doc "Returns whether `depth_port` was built."
   @spec available?() :: boolean()
   def available?, do: match?({:ok, _}, Program.path())
 
-  @doc "The cameras that the libraries find; none where `depth_port` was not built."
+  @doc "Lists the cameras that the libraries find; empty if `depth_port` was not built."
   @spec list() :: [Device.t()]
   def list do
     for line <- Program.list(), [driver, address, name] <- [String.split(line, "\t")] do

@@ -1,53 +1,53 @@
 defmodule Situ.Space.DepthCamera.Recorded do
   @schema [
-    path: [type: :string, required: true, doc: "The recording."],
+    path: [type: :string, required: true, doc: "The path of the recording."],
     depth: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "The stream of views with depth, or of pictures of depth; by default `\"Depth\"`, or that of a RealSense bag."
+        "The stream of depth views or depth images; by default `\"Depth\"`, or the depth stream of a RealSense bag."
     ],
     color: [
       type: {:optional, :string},
       default: nil,
-      doc: "The stream of views in colour; by default `\"Color\"` where there is one."
+      doc: "The stream of colour views; by default `\"Color\"` if it exists."
     ],
     lens: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "For pictures of depth: the stream that tells their intrinsics; by default the one of a RealSense bag."
+        "For depth images: the stream with their intrinsics; by default the one in a RealSense bag."
     ],
     intrinsics: [
       type: {:optional, {:struct, Situ.CameraIntrinsics}},
       default: nil,
-      doc: "For pictures of depth: the intrinsics themselves."
+      doc: "For depth images: the intrinsics themselves."
     ],
     pose: [
       type: {:optional, {:struct, Situ.Pose}},
       default: nil,
       doc:
-        "For pictures of depth: where the camera stood; by default it is the frame of what it sees."
+        "For depth images: the camera's pose; by default the identity, so points are in the camera's frame."
     ],
     others: [
       type: {:list, :any},
       default: [],
-      doc: "Streams beside them, as `[bodies: \"Bodies\"]`."
+      doc: "Additional streams, for example `[bodies: \"Bodies\"]`."
     ]
   ]
 
   @moduledoc """
-  A depth camera that replays a recording of one.
+  A depth camera that replays the recording of one.
 
       room = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recorded, path: "recordings/room.0000"})
       d435 = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recorded, path: "d435.bag"})
 
-  Its streams hold `Situ.CameraView`s as another camera gave them. Pictures that were encoded before they were recorded
-  stay so. Recordings of plain pictures of depth become views by their intrinsics: of bags that the RealSense SDK or its
-  viewer wrote those of the file, of others `lens:` or `intrinsics:`. A RealSense camera's colour has another place than
-  its depth, which is not read: it is a stream of pictures, not of views.
+  Its streams contain the `Situ.CameraView`s of the recorded camera. Images that were encoded before recording stay
+  encoded. Recordings of plain depth images become views by adding intrinsics. Bags of the RealSense SDK or its viewer
+  contain them; other recordings need `lens:` or `intrinsics:`. The colour sensor of a RealSense camera has another pose
+  than its depth sensor, and that pose is not read. Its colour stream therefore contains images, not views.
 
-  Raises `Situ.Error`: `:no_such_stream`, and `:no_intrinsics` where those of pictures of depth are not known.
+  Raises `Situ.Error`: `:no_such_stream`, and `:no_intrinsics` if the intrinsics of depth images are not known.
 
   ## Options
 
@@ -88,13 +88,13 @@ defmodule Situ.Space.DepthCamera.Recorded do
 
       true ->
         raise Error.new(:no_such_stream, "#{opts[:path]} has no stream #{inspect(wanted)}",
-                why: "it has #{names |> Enum.take(8) |> Enum.join(", ")}",
-                fix: "name the stream of depth by `depth:`"
+                why: "its streams are #{names |> Enum.take(8) |> Enum.join(", ")}",
+                fix: "name the depth stream with `depth:`"
               )
     end
   end
 
-  # Views as they are; pictures become some.
+  # Views are used unchanged; depth images are converted to views.
   defp views(recording, store, depth, opts) do
     case first(recording, depth) do
       %DepthImage{} ->
@@ -115,8 +115,8 @@ defmodule Situ.Space.DepthCamera.Recorded do
   defp view(other, _lens, _pose) do
     raise Error.new(
             :wrong_data,
-            "not a picture of depth: #{inspect(other, limit: 5, printable_limit: 80)}",
-            why: "the first message of the stream is one"
+            "expected a depth image, got #{inspect(other, limit: 5, printable_limit: 80)}",
+            why: "the first message of the stream is a depth image"
           )
   end
 
@@ -144,14 +144,19 @@ defmodule Situ.Space.DepthCamera.Recorded do
       other ->
         why =
           cond do
-            lens == nil -> "no stream of the recording is known to tell them"
-            not known? -> "there is no stream #{inspect(lens)}"
-            true -> "#{lens} has #{inspect(other, limit: 5, printable_limit: 80)}, which are none"
+            lens == nil ->
+              "no stream of the recording is known to contain them"
+
+            not known? ->
+              "the stream #{inspect(lens)} does not exist"
+
+            true ->
+              "#{lens} contains #{inspect(other, limit: 5, printable_limit: 80)} instead of intrinsics"
           end
 
         raise Error.new(:no_intrinsics, "the intrinsics of #{depth} are not known",
                 why: why,
-                fix: "name the stream that tells them by `lens:`, or give them by `intrinsics:`"
+                fix: "name the stream that contains them with `lens:`, or set `intrinsics:`"
               )
     end
   end

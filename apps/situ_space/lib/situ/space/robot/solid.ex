@@ -1,9 +1,9 @@
 defmodule Situ.Space.Robot.Solid do
   @moduledoc false
-  # Boxes, cylinders and spheres around the origin, as triangles.
+  # Builds boxes, cylinders and spheres around the origin, as triangles.
   alias Situ.Mesh
 
-  # Around a cylinder or a sphere, and from pole to pole.
+  # The number of segments around a cylinder or a sphere, and from pole to pole of a sphere.
   @around 32
   @rings 16
 
@@ -15,7 +15,7 @@ defmodule Situ.Space.Robot.Solid do
     mesh(corners, Enum.flat_map(sides, fn {a, b, c, d} -> [{a, b, c}, {a, c, d}] end))
   end
 
-  @doc "Its axis is z."
+  @doc "Builds a cylinder along the z axis."
   @spec cylinder(number(), number()) :: Mesh.t()
   def cylinder(radius, length) do
     ends = for z <- [-length / 2, length / 2], angle <- angles(), do: ring(angle, radius, z)

@@ -1,15 +1,15 @@
 defmodule Situ.Space.Robot.Urdf do
   @moduledoc """
-  URDF, ROS's files of robots: links with their visible shapes, and joints.
+  Reads URDF, ROS's file format for robots: links with their visible shapes, and joints.
 
-  Read are boxes, cylinders, spheres and meshes (files that `Situ.Space.Scan` reads, `.stl` among them), in their
-  places; materials, collisions, inertias and limits are passed over. Joints that float or slide on a plane do not move.
-  Meshes lie beside the file: `package://arm/meshes/link.stl` is looked for as `meshes/link.stl` and
-  `arm/meshes/link.stl` in the file's folder and the four above it. One that is not there, or of another kind, is a text
-  at its place.
+  Boxes, cylinders, spheres and meshes (files that `Situ.Space.Scan` reads, such as `.stl`) are read with their poses.
+  Materials, collisions, inertias and limits are skipped. Floating and planar joints do not move. Mesh files are
+  searched relative to the URDF file: `package://arm/meshes/link.stl` is searched as `meshes/link.stl` and
+  `arm/meshes/link.stl` in the file's folder and the four above it. A mesh that is missing or has an unknown format is
+  replaced by a text at its position.
 
-  As a recording (`bin/situ studio arm.urdf`) it is two streams of one message: `Robot`, the shapes with all joints at
-  0, and `Frames`. `Situ.Space.Robot` moves it.
+  As a recording (`bin/situ studio arm.urdf`) it contains two streams of one message each: `Robot`, the shapes with all
+  joints at 0, and `Frames`. Use `Situ.Space.Robot` to move the joints.
   """
   @behaviour Situ.Store.Reader
 
@@ -34,11 +34,11 @@ defmodule Situ.Space.Robot.Urdf do
     "prismatic" => :sliding
   }
 
-  @doc "The robot of a file. Errors: `:no_file`, `:too_large`, `:bad_file`."
+  @doc "Reads the robot of a file. Errors: `:no_file`, `:too_large`, `:bad_file`."
   @spec read(Path.t()) :: {:ok, Robot.t()} | {:error, Error.t()}
   def read(path), do: WholeFile.read(path, @most, &parse(&1, Path.dirname(path)))
 
-  @doc "The robot of a text; without a folder no mesh is looked for."
+  @doc "Parses a robot from text. Without a folder, meshes are not loaded."
   @spec parse(binary(), Path.t() | nil) :: {:ok, Robot.t()} | {:error, Error.t()}
   def parse(xml, folder \\ nil) do
     case Xml.tree(xml) do
@@ -51,7 +51,7 @@ defmodule Situ.Space.Robot.Urdf do
   end
 
   defp bad(why),
-    do: {:error, Error.new(:bad_file, "this is no URDF file that can be read", why: why)}
+    do: {:error, Error.new(:bad_file, "invalid URDF file", why: why)}
 
   defp no!(why), do: throw({:bad, why})
 
@@ -63,25 +63,28 @@ defmodule Situ.Space.Robot.Urdf do
     joints = for {"joint", _, _} = joint <- parts, do: joint(joint)
     twice(Enum.map(links, &elem(&1, 0)), "links")
     twice(Enum.map(joints, & &1.name), "joints")
-    twice(Enum.map(joints, & &1.child), "joints that hold the link")
+    twice(Enum.map(joints, & &1.child), "joints with the child link")
     links = Map.new(links)
 
     for %{parent: parent, child: child, name: name} <- joints, link <- [parent, child] do
       if not is_map_key(links, link),
-        do: no!("the joint #{inspect(name)} names the link #{inspect(link)}, which is not there")
+        do:
+          no!(
+            "the joint #{inspect(name)} refers to the link #{inspect(link)}, which does not exist"
+          )
     end
 
     case Map.keys(links) -- Enum.map(joints, & &1.child) do
       [root] ->
         ordered = order([root], Enum.group_by(joints, & &1.parent))
-        if length(ordered) < length(joints), do: no!("some of its links hang on themselves")
+        if length(ordered) < length(joints), do: no!("some of its links form a cycle")
         %Robot{name: given["name"] || "robot", root: root, links: links, joints: ordered}
 
       [] ->
-        no!("no link of it is the first: they hang on themselves, or there are none")
+        no!("it has no root link: its links form a cycle, or there are none")
 
       roots ->
-        no!("#{length(roots)} of its links hang on none: #{inspect(roots, limit: 5)}")
+        no!("it has #{length(roots)} root links instead of one: #{inspect(roots, limit: 5)}")
     end
   end
 
@@ -92,7 +95,7 @@ defmodule Situ.Space.Robot.Urdf do
     end
   end
 
-  # Parents first.
+  # Sorts joints so that parents come first.
   defp order([], _by_parent), do: []
 
   defp order([link | more], by_parent) do
@@ -105,7 +108,7 @@ defmodule Situ.Space.Robot.Urdf do
 
   defp joint({_, given, inner} = joint) do
     name = named(joint)
-    kind = @kinds[given["type"]] || no!("the joint #{inspect(name)} is of no known type")
+    kind = @kinds[given["type"]] || no!("the joint #{inspect(name)} has an unknown type")
 
     axis =
       case inner |> only("axis") |> numbers("xyz", {1.0, 0.0, 0.0}) |> Vector3.normalize() do
@@ -146,7 +149,7 @@ defmodule Situ.Space.Robot.Urdf do
   defp numbers({name, given, _}, key, _default) when is_map_key(given, key) do
     case String.split(given[key]) do
       [_, _, _] = words -> words |> Enum.map(&number/1) |> List.to_tuple()
-      _ -> no!("#{key} of an element #{name} is not three numbers")
+      _ -> no!("`#{key}` of the element #{name} must have three numbers")
     end
   end
 
@@ -155,7 +158,7 @@ defmodule Situ.Space.Robot.Urdf do
   defp number(text) do
     case text |> to_string() |> String.trim() |> Text.float() do
       {:ok, x} when abs(x) < 1.0e6 -> x
-      _ -> no!("#{inspect(String.slice(to_string(text), 0, 40))} is no number of a robot")
+      _ -> no!("#{inspect(String.slice(to_string(text), 0, 40))} is not a number below a million")
     end
   end
 
@@ -165,7 +168,7 @@ defmodule Situ.Space.Robot.Urdf do
 
       case geometry do
         [{kind, given, _} | _] -> placed(shape(kind, given, folder), origin)
-        [] -> no!("a geometry holds no shape")
+        [] -> no!("a geometry contains no shape")
       end
     end
   end
@@ -194,7 +197,7 @@ defmodule Situ.Space.Robot.Urdf do
     end
   end
 
-  defp shape(kind, _given, _folder), do: "no shape is called #{String.slice(kind, 0, 40)}"
+  defp shape(kind, _given, _folder), do: "unknown shape #{String.slice(kind, 0, 40)}"
 
   defp scaled(mesh, {sx, sy, sz}) do
     vertices =
@@ -205,10 +208,10 @@ defmodule Situ.Space.Robot.Urdf do
 
     if byte_size(vertices) == byte_size(mesh.vertices),
       do: %{mesh | vertices: vertices},
-      else: "a place of it is no number"
+      else: "a vertex is not finite"
   end
 
-  # A file from elsewhere names files of its own folders only.
+  # A robot file is untrusted, so it may only refer to files in its own folders.
   defp find(_name, nil), do: {:error, "no folder to look in"}
 
   defp find(name, folder) do
@@ -223,15 +226,15 @@ defmodule Situ.Space.Robot.Urdf do
 
     cond do
       Path.type(path) != :relative or ".." in parts or path == "" ->
-        {:error, "it is not among the robot's own files"}
+        {:error, "the path is outside the robot's folders"}
 
       String.downcase(Path.extname(path)) not in Scan.extensions() ->
-        {:error, "this kind of file cannot be read"}
+        {:error, "this file format is not supported"}
 
       true ->
         candidates(folder, parts, package)
         |> Enum.find(&File.regular?/1)
-        |> then(&if(&1, do: {:ok, &1}, else: {:error, "it is not there"}))
+        |> then(&if(&1, do: {:ok, &1}, else: {:error, "the file does not exist"}))
     end
   end
 

@@ -1,7 +1,7 @@
 defmodule Situ.Space.Scan.Collada do
   @moduledoc false
-  # Collada 1.4 and 1.5 by Khronos (`.dae`): every triangle of the scene at the place of its node, in metres, without
-  # materials, skins and animations.
+  # Parses Collada 1.4 and 1.5 by Khronos (`.dae`): every triangle of the scene, transformed by its node, in metres,
+  # without materials, skins and animations.
   alias Situ.{Error, Mesh}
   alias Situ.Space.Scan.{Text, Turn}
   alias Situ.Space.Xml
@@ -11,18 +11,19 @@ defmodule Situ.Space.Scan.Collada do
   @deepest 64
 
   @doc """
-  The mesh of a whole scene, with z up; with `axes: :own` as the file's numbers are, as files of robots mean them.
+  Returns the mesh of the complete scene, with z up. With `axes: :own` coordinates keep the file's axes, as robot files
+  expect.
   """
   @spec read(binary(), keyword()) :: {:ok, Mesh.t()} | {:error, Error.t()}
   def read(bytes, opts \\ [])
 
   def read(bytes, _opts) when byte_size(bytes) > @most_bytes,
-    do: bad("it has more than #{div(@most_bytes, 1_000_000)} MB of text: save it as .glb")
+    do: bad("it has more than #{div(@most_bytes, 1_000_000)} MB of text; save it as .glb")
 
   def read(bytes, opts) do
     case Xml.tree(bytes, texts: true) do
       {:ok, {"COLLADA", _, _} = root} -> mesh(root, opts)
-      {:ok, _} -> bad("it is no Collada")
+      {:ok, _} -> bad("its root element is not COLLADA")
       {:error, why} -> bad(why)
     end
   catch
@@ -30,7 +31,7 @@ defmodule Situ.Space.Scan.Collada do
   end
 
   defp bad(why),
-    do: {:error, Error.new(:bad_file, "this is no Collada file that can be read", why: why)}
+    do: {:error, Error.new(:bad_file, "invalid Collada file", why: why)}
 
   defp no!(why), do: throw({:bad, why})
 
@@ -62,7 +63,7 @@ defmodule Situ.Space.Scan.Collada do
     end
   end
 
-  # Everything in a library by its name; also that of nodes inside of nodes, which may be named, too.
+  # Maps the ids in a library to their items. Nodes nested in other nodes are not included.
   defp library(root, name, kind) do
     for part <- all(root, name),
         {_, given, _} = item <- all(part, kind),
@@ -84,11 +85,11 @@ defmodule Situ.Space.Scan.Collada do
   end
 
   defp named(items, "#" <> id, kind),
-    do: items[id] || no!("there is no #{kind} called #{String.slice(id, 0, 60)}")
+    do: items[id] || no!("it has no #{kind} with the id #{String.slice(id, 0, 60)}")
 
-  defp named(_items, _url, kind), do: no!("a #{kind} of it is in another file")
+  defp named(_items, _url, kind), do: no!("a #{kind} is in another file")
 
-  # Metres, and z up.
+  # Converts the file's unit to metres, and its axes to z up.
   defp base(root, opts) do
     asset = one(root, "asset") || {"asset", %{}, []}
 
@@ -110,8 +111,9 @@ defmodule Situ.Space.Scan.Collada do
     end
   end
 
-  # The meshes that a node and those below it show, each with its matrix.
-  defp shapes(_node, _outer, _known, @deepest), do: no!("its nodes have no end")
+  # Collects the meshes of a node and of its descendants, each with its matrix.
+  defp shapes(_node, _outer, _known, @deepest),
+    do: no!("its nodes are nested too deeply or form a cycle")
 
   defp shapes({"node", _, parts}, outer, known, depth) do
     matrix = Enum.reduce(parts, outer, &Turn.both(&2, local(&1)))
@@ -146,14 +148,14 @@ defmodule Situ.Space.Scan.Collada do
 
   defp local(_other), do: Turn.none()
 
-  # For each of a mesh's vertices its places, and the triangles between them.
+  # Returns the positions of each list of vertices in a mesh, with the triangles between them.
   defp surfaces({"mesh", _, parts} = mesh) do
     sources =
       for {_, %{"id" => id}, _} = source <- all(mesh, "source"), into: %{}, do: {id, source}
 
     for {"vertices", %{"id" => id}, _} = vertices <- parts do
       input = Enum.find(all(vertices, "input"), &match?({_, %{"semantic" => "POSITION"}, _}, &1))
-      {_, given, _} = input || no!("its vertices have no places")
+      {_, given, _} = input || no!("its vertices have no positions")
 
       {places(named(sources, given["source"], "source")),
        Enum.flat_map(parts, &triangles(&1, "#" <> id))}
@@ -161,7 +163,7 @@ defmodule Situ.Space.Scan.Collada do
   end
 
   defp places(source) do
-    {_, %{text: text}, _} = one(source, "float_array") || no!("its places are no numbers")
+    {_, %{text: text}, _} = one(source, "float_array") || no!("its positions are not numbers")
 
     accessor =
       with {_, _, _} = technique <- one(source, "technique_common"),
@@ -170,7 +172,7 @@ defmodule Situ.Space.Scan.Collada do
            else: (_ -> %{})
 
     stride = whole(accessor["stride"] || "3")
-    if stride not in 3..64, do: no!("its places are not three numbers each")
+    if stride not in 3..64, do: no!("its positions do not have three numbers each")
 
     text
     |> numbers()
@@ -186,7 +188,7 @@ defmodule Situ.Space.Scan.Collada do
           do: {given["semantic"], given["source"], whole(given["offset"] || "0")}
 
     stride = inputs |> Enum.map(&elem(&1, 2)) |> Enum.max(fn -> 0 end) |> Kernel.+(1)
-    if stride > 64, do: no!("its triangles name too much")
+    if stride > 64, do: no!("its triangles have too many inputs")
 
     case Enum.find(inputs, &match?({"VERTEX", ^vertices, _}, &1)) do
       {_, _, offset} ->
@@ -216,7 +218,7 @@ defmodule Situ.Space.Scan.Collada do
 
   defp cut("polylist", corners, part) do
     {_, %{text: text}, _} =
-      one(part, "vcount") || no!("a list of polygons does not say how many corners they have")
+      one(part, "vcount") || no!("a list of polygons does not state their numbers of corners")
 
     {polygons, _rest} =
       text
@@ -235,14 +237,14 @@ defmodule Situ.Space.Scan.Collada do
   defp moved(places, matrix) do
     for place <- places, into: <<>> do
       {x, y, z} = Turn.of(matrix, place)
-      if abs(x) + abs(y) + abs(z) > 1.0e30, do: no!("a place is beyond all numbers")
+      if abs(x) + abs(y) + abs(z) > 1.0e30, do: no!("a vertex is out of range")
       <<x::little-float-32, y::little-float-32, z::little-float-32>>
     end
   end
 
   defp numbered(triangles, first, count) do
     for triangle <- triangles, corner <- triangle, into: <<>> do
-      if corner >= count, do: no!("a triangle names a vertex that is not there")
+      if corner >= count, do: no!("a triangle refers to a vertex that does not exist")
       <<corner + first::little-32>>
     end
   end
@@ -252,7 +254,7 @@ defmodule Situ.Space.Scan.Collada do
 
   defp numbers(text, count) do
     list = numbers(text)
-    if length(list) == count, do: list, else: no!("a node's place is not #{count} numbers")
+    if length(list) == count, do: list, else: no!("a node's transform must have #{count} numbers")
   end
 
   defp numbers(text), do: text |> String.split() |> Enum.map(&number/1)
@@ -260,14 +262,14 @@ defmodule Situ.Space.Scan.Collada do
   defp number(text) do
     case Text.float(text) do
       {:ok, x} when abs(x) < 1.0e12 -> x
-      _ -> no!("#{inspect(String.slice(text, 0, 20))} is no number")
+      _ -> no!("#{inspect(String.slice(text, 0, 20))} is not a number in range")
     end
   end
 
   defp whole(text) do
     case Integer.parse(text) do
       {n, ""} when n in 0..0xFFFFFFFF -> n
-      _ -> no!("#{inspect(String.slice(text, 0, 20))} is no number of anything")
+      _ -> no!("#{inspect(String.slice(text, 0, 20))} is not a valid count or index")
     end
   end
 end

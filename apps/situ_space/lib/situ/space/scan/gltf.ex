@@ -1,8 +1,8 @@
 defmodule Situ.Space.Scan.Gltf do
   @moduledoc false
-  # glTF 2.0 by Khronos: `.glb`, or `.gltf` with its bytes inside or in files of its own folder. Every triangle of the
-  # scene at the place of its node, without materials, skins and animations. Its axes (y up, z forward) become ours (x
-  # forward, z up).
+  # Parses glTF 2.0 by Khronos: `.glb`, or `.gltf` with its bytes embedded or in files in the same folder. Reads every
+  # triangle of the scene, transformed by its node, without materials, skins and animations. Its axes (y up, z forward)
+  # are converted to ours (x forward, z up).
   import Situ.Bits, only: [known: 1]
   import Bitwise
   alias Situ.{Error, JSON, Mesh}
@@ -11,11 +11,11 @@ defmodule Situ.Space.Scan.Gltf do
   @most 50_000_000
   @numbers %{5121 => 1, 5123 => 2, 5125 => 4}
 
-  # Of extensions that a file needs, those that change no place.
+  # Required extensions that do not change positions, so that they can be ignored.
   @harmless ~r/\A(KHR_materials_|KHR_texture_|EXT_texture_|KHR_lights_|KHR_xmp|KHR_animation_)/
   @most_bytes 2_000_000_000
 
-  @doc "The mesh of a whole scene; `folder` is where files may lie that it names, `nil` for nowhere."
+  @doc "Returns the mesh of the complete scene. `folder` contains the files that it refers to; `nil` allows no files."
   @spec read(binary(), Path.t() | nil) :: {:ok, Mesh.t()} | {:error, Error.t()}
   def read(bytes, folder \\ nil) do
     {json, body} = chunks(bytes)
@@ -25,17 +25,17 @@ defmodule Situ.Space.Scan.Gltf do
         scene |> supported() |> fetched(folder) |> mesh(body)
 
       {:ok, _} ->
-        bad("it is no glTF of version 2")
+        bad("it is not glTF version 2")
 
       {:error, _} ->
-        bad("its description is no JSON")
+        bad("its description is not valid JSON")
     end
   catch
     {:bad, why} -> bad(why)
   end
 
   defp bad(why),
-    do: {:error, Error.new(:bad_file, "this is no glTF file that can be read", why: why)}
+    do: {:error, Error.new(:bad_file, "invalid glTF file", why: why)}
 
   defp no!(why), do: throw({:bad, why})
 
@@ -48,12 +48,12 @@ defmodule Situ.Space.Scan.Gltf do
     end
   end
 
-  defp chunks(<<"glTF", _::binary>>), do: no!("its first chunk is cut off, or of another version")
+  defp chunks(<<"glTF", _::binary>>), do: no!("its first chunk is cut off or has another version")
   defp chunks(text), do: {text, nil}
 
   defp supported(scene) do
     needs = scene["extensionsRequired"] || []
-    if not is_list(needs), do: no!("what it needs is no list")
+    if not is_list(needs), do: no!("extensionsRequired is not a list")
 
     case Enum.reject(needs, &(is_binary(&1) and &1 =~ @harmless)) do
       [] ->
@@ -61,7 +61,7 @@ defmodule Situ.Space.Scan.Gltf do
 
       needs ->
         no!(
-          "it needs #{inspect(needs, limit: 5, printable_limit: 200)}: save it without compression"
+          "it requires #{inspect(needs, limit: 5, printable_limit: 200)}; save it without compression"
         )
     end
   end
@@ -104,13 +104,15 @@ defmodule Situ.Space.Scan.Gltf do
   defp maps(nil), do: []
 
   defp maps(list) do
-    if is_list(list) and Enum.all?(list, &is_map/1), do: list, else: no!("a list of it is none")
+    if is_list(list) and Enum.all?(list, &is_map/1),
+      do: list,
+      else: no!("a list of its scene is not a list of objects")
   end
 
-  # Every mesh with its place; a node that has two parents, or hangs on itself, is no tree.
+  # Collects every mesh with its matrix. A node that occurs twice has two parents or is its own descendant.
   defp nodes(numbers, scene, outer, seen) when is_list(numbers) do
     Enum.reduce(numbers, {[], seen}, fn number, {shapes, seen} ->
-      if number in seen, do: no!("node #{inspect(number)} hangs on two")
+      if number in seen, do: no!("node #{inspect(number)} occurs twice in the scene")
       node = item(scene, "nodes", number)
       matrix = multiply(outer, local(node))
       own = if node["mesh"], do: [{node["mesh"], matrix}], else: []
@@ -119,7 +121,7 @@ defmodule Situ.Space.Scan.Gltf do
     end)
   end
 
-  defp nodes(_other, _scene, _outer, _seen), do: no!("a node's children are no list")
+  defp nodes(_other, _scene, _outer, _seen), do: no!("a node's children are not a list")
 
   defp item(scene, kind, number) when is_integer(number) and number >= 0 do
     case scene[kind] do
@@ -128,13 +130,13 @@ defmodule Situ.Space.Scan.Gltf do
     end
     |> case do
       %{} = item -> item
-      _ -> no!("there is no number #{number} among its #{kind}")
+      _ -> no!("item #{number} of its #{kind} does not exist")
     end
   end
 
-  defp item(_scene, kind, number), do: no!("#{inspect(number)} is no number of its #{kind}")
+  defp item(_scene, kind, number), do: no!("#{inspect(number)} is not an index of its #{kind}")
 
-  # Three columns and the place, as glTF has them.
+  # glTF stores three columns and the translation.
   defp local(%{"matrix" => list}) do
     case floats(list, 16) do
       [a, b, c, _, d, e, f, _, g, h, i, _, x, y, z, _] -> {a, b, c, d, e, f, g, h, i, x, y, z}
@@ -155,7 +157,7 @@ defmodule Situ.Space.Scan.Gltf do
     if is_list(list) and length(list) == count and
          Enum.all?(list, &(is_number(&1) and abs(&1) < 1.0e9)),
        do: Enum.map(list, &(&1 * 1.0)),
-       else: no!("a node's place is not #{count} numbers")
+       else: no!("a node's transform must have #{count} numbers")
   end
 
   defp multiply(m, {a, b, c, d, e, f, g, h, i, x, y, z}) do
@@ -173,9 +175,9 @@ defmodule Situ.Space.Scan.Gltf do
       {in_range(a * x + d * y + g * z), in_range(b * x + e * y + h * z),
        in_range(c * x + f * y + i * z)}
 
-  # A deep tree of large factors has no end.
+  # A deep tree of large factors would overflow.
   defp in_range(x) when abs(x) < 1.0e20, do: x
-  defp in_range(_x), do: no!("a place is beyond all numbers")
+  defp in_range(_x), do: no!("a node's transform is out of range")
 
   defp places(part, scene, body) do
     with %{"attributes" => %{"POSITION" => number}} <- part,
@@ -183,7 +185,7 @@ defmodule Situ.Space.Scan.Gltf do
            item(scene, "accessors", number) do
       elements(accessor, 12, scene, body)
     else
-      _ -> no!("a surface has no places of 32-bit floats")
+      _ -> no!("a surface has no positions in 32-bit floats")
     end
   end
 
@@ -200,7 +202,7 @@ defmodule Situ.Space.Scan.Gltf do
 
     if byte_size(moved) == byte_size(places),
       do: moved,
-      else: no!("a vertex has coordinates that are no numbers")
+      else: no!("a vertex has coordinates that are not finite")
   end
 
   defp triangles(part, count, first, scene, body) do
@@ -209,7 +211,8 @@ defmodule Situ.Space.Scan.Gltf do
         do: indices(item(scene, "accessors", part["indices"]), scene, body),
         else: Enum.to_list(0..(count - 1)//1)
 
-    if Enum.any?(numbers, &(&1 >= count)), do: no!("a triangle names a vertex that is not there")
+    if Enum.any?(numbers, &(&1 >= count)),
+      do: no!("a triangle refers to a vertex that does not exist")
 
     case part["mode"] || 4 do
       4 -> Enum.chunk_every(numbers, 3, 3, :discard)
@@ -240,9 +243,9 @@ defmodule Situ.Space.Scan.Gltf do
   end
 
   defp indices(_accessor, _scene, _body),
-    do: no!("the numbers of triangles are of an unknown kind")
+    do: no!("the indices of triangles have an unsupported type")
 
-  # The bytes of an accessor, one element behind the other.
+  # Returns the bytes of an accessor, with its elements packed tightly.
   defp elements(%{"bufferView" => number, "count" => count} = accessor, size, scene, body)
        when not is_map_key(accessor, "sparse") and is_integer(count) and count in 0..@most do
     view = item(scene, "bufferViews", number)
@@ -253,20 +256,20 @@ defmodule Situ.Space.Scan.Gltf do
     cond do
       count == 0 -> ""
       not is_integer(stride) or stride < size -> no!("elements overlap")
-      from + (count - 1) * stride + size > byte_size(bytes) -> no!("its bytes end too early")
+      from + (count - 1) * stride + size > byte_size(bytes) -> no!("its buffer ends too early")
       stride == size -> binary_part(bytes, from, count * size)
       true -> for i <- 0..(count - 1), into: <<>>, do: binary_part(bytes, from + i * stride, size)
     end
   end
 
   defp elements(_accessor, _size, _scene, _body),
-    do: no!("an accessor is sparse, or has no bytes")
+    do: no!("an accessor is sparse or has no buffer")
 
   defp offset(%{"byteOffset" => offset}) when is_integer(offset) and offset >= 0, do: offset
-  defp offset(%{"byteOffset" => _}), do: no!("an offset is no number")
+  defp offset(%{"byteOffset" => _}), do: no!("an offset is not a valid number")
   defp offset(_none), do: 0
 
-  # Buffers with the bytes that they name, each read once.
+  # Loads the bytes of each buffer once.
   defp fetched(scene, folder),
     do: Map.put(scene, "buffers", Enum.map(maps(scene["buffers"]), &fetch(&1, folder)))
 
@@ -275,17 +278,17 @@ defmodule Situ.Space.Scan.Gltf do
          {:ok, bytes} <- Base.decode64(text) do
       Map.put(buffer, "bytes", bytes)
     else
-      _ -> no!("its bytes are no base64")
+      _ -> no!("its embedded bytes are not valid base64")
     end
   end
 
   defp fetch(%{"uri" => uri} = buffer, folder) when is_binary(uri) do
     name = URI.decode(uri)
 
-    # a file from elsewhere names files of its own folder only
+    # The file is untrusted, so it may only refer to files in its own folder.
     if folder == nil or name == "" or Path.type(name) != :relative or name =~ ~r/[\x00:\\]/ or
          ".." in Path.split(name),
-       do: no!("its bytes are in a file that is not in its own folder: save it as .glb")
+       do: no!("its buffer refers to a file outside its own folder; save it as .glb")
 
     path = Path.join(folder, name)
 
@@ -293,16 +296,16 @@ defmodule Situ.Space.Scan.Gltf do
          {:ok, bytes} <- File.read(path) do
       Map.put(buffer, "bytes", bytes)
     else
-      _ -> no!("the file with its bytes, #{String.slice(name, 0, 100)}, is not there")
+      _ -> no!("the buffer file #{String.slice(name, 0, 100)} does not exist")
     end
   rescue
-    ArgumentError -> no!("the name of the file with its bytes is none")
+    ArgumentError -> no!("the name of a buffer file is invalid")
   end
 
-  defp fetch(%{"uri" => _}, _folder), do: no!("the name of the file with its bytes is none")
+  defp fetch(%{"uri" => _}, _folder), do: no!("the name of a buffer file is invalid")
   defp fetch(buffer, _folder), do: Map.delete(buffer, "bytes")
 
   defp buffer(%{"bytes" => bytes}, _number, _body), do: bytes
   defp buffer(_own, 0, body) when is_binary(body), do: body
-  defp buffer(_own, _number, _body), do: no!("it has no bytes")
+  defp buffer(_own, _number, _body), do: no!("a buffer has no bytes")
 end

@@ -1,12 +1,12 @@
 defmodule Situ.Space.Scan.Las do
   @moduledoc false
-  # LAS 1.0 to 1.4, compressed (LAZ) or not: places as whole numbers with a scale, colours where the format has them.
+  # Parses LAS 1.0 to 1.4, compressed (LAZ) or not: positions as scaled integers, and colours if the format has them.
   # Source: ASPRS, LAS Specification 1.4 R15.
   import Situ.Bits, only: [known: 1]
   alias Situ.{Error, PointCloud}
   alias Situ.Space.Kernel
 
-  # Where the colours of a point begin, by its format.
+  # The byte offset of the colours in a point record, by format.
   @colors %{2 => 20, 3 => 28, 5 => 28, 7 => 30, 8 => 30, 10 => 30}
   @sizes %{
     0 => 20,
@@ -22,7 +22,7 @@ defmodule Situ.Space.Scan.Las do
     10 => 67
   }
 
-  @doc "The points, relative to the lower corner of the file's bounds, and that corner."
+  @doc "Returns the points, relative to the lower corner of the file's bounds, and that corner."
   @spec read(binary()) :: {:ok, PointCloud.t(), origin :: tuple()} | {:error, Error.t()}
   def read(
         <<"LASF", _::binary-size(20), 1, minor, _::binary-size(68), _header::little-16,
@@ -48,20 +48,20 @@ defmodule Situ.Space.Scan.Las do
       {:error, %Error{what: what}} -> bad(what)
     end
   rescue
-    ArithmeticError -> bad("its points lie farther apart than can be told")
+    ArithmeticError -> bad("its coordinates are out of range")
   end
 
-  def read(_file), do: bad("its header is none")
+  def read(_file), do: bad("its header is invalid")
 
   defp some(bytes), do: if(bytes != <<>>, do: bytes)
 
   defp check(format, size) do
     cond do
       not is_map_key(@sizes, format) ->
-        bad("its point format #{format} is not known")
+        bad("its point format #{format} is unknown")
 
       size < @sizes[format] ->
-        bad("its points have #{size} bytes, format #{format} needs #{@sizes[format]}")
+        bad("its point records have #{size} bytes, but format #{format} needs #{@sizes[format]}")
 
       true ->
         :ok
@@ -71,17 +71,17 @@ defmodule Situ.Space.Scan.Las do
   defp records(file, false, at, size, count) do
     if at + count * size <= byte_size(file),
       do: {:ok, binary_part(file, at, count * size)},
-      else: bad("it is cut short: #{count} points are announced")
+      else: bad("it is cut short: its header states #{count} points")
   end
 
   defp records(file, true, at, size, count) do
     case packing(file) do
-      nil -> bad("it is compressed, and does not say how")
+      nil -> bad("it is compressed, but the record that describes the compression is missing")
       packing -> Kernel.call(:las_unpack, [file, {at, size, count}, packing])
     end
   end
 
-  # Of the records between header and points the one that says how points are compressed.
+  # Finds the record between header and points that describes the compression.
   defp packing(
          <<_::binary-size(94), header::little-16, _::little-32, count::little-32, _::binary>> =
            file
@@ -108,5 +108,5 @@ defmodule Situ.Space.Scan.Las do
   defp long_count(_short), do: 0
 
   defp bad(why),
-    do: {:error, Error.new(:bad_file, "this is no LAS file that can be read", why: why)}
+    do: {:error, Error.new(:bad_file, "invalid LAS file", why: why)}
 end

@@ -1,13 +1,13 @@
 defmodule Situ.Space.Scan.Obj do
   @moduledoc false
-  # OBJ by Wavefront: the lines `v x y z` (perhaps with a colour) and `f a b c ...`; normals, textures, materials and
-  # curves are passed over. Numbers of vertices begin at 1; negative ones count back from the last vertex.
+  # Parses OBJ by Wavefront: the lines `v x y z` (optionally with a colour) and `f a b c ...`. Normals, textures,
+  # materials and curves are skipped. Vertex numbers start at 1; negative ones count back from the last vertex.
   alias Situ.{Error, Mesh, PointCloud}
   alias Situ.Space.Scan.Text
 
   @most 50_000_000
 
-  @doc "A mesh where there are faces, else a cloud."
+  @doc "Returns a mesh if there are faces, otherwise a point cloud."
   @spec read(binary()) :: {:ok, Mesh.t() | PointCloud.t()} | {:error, Error.t()}
   def read(text) do
     {vertices, colors, faces, count} =
@@ -27,7 +27,7 @@ defmodule Situ.Space.Scan.Obj do
     {:bad, why} -> bad(why)
   end
 
-  # A backslash at the end of a line continues it in the next one.
+  # A backslash at the end of a line continues it on the next line.
   defp join_lines(text) do
     if :binary.match(text, "\\") == :nomatch,
       do: text,
@@ -35,7 +35,7 @@ defmodule Situ.Space.Scan.Obj do
   end
 
   defp bad(why),
-    do: {:error, Error.new(:bad_file, "this is no OBJ file that can be read", why: why)}
+    do: {:error, Error.new(:bad_file, "invalid OBJ file", why: why)}
 
   defp line(["v", x, y, z | more], {vertices, colors, faces, count}) when count < @most do
     place =
@@ -46,7 +46,7 @@ defmodule Situ.Space.Scan.Obj do
 
   defp line(["v" | _], _acc), do: throw({:bad, "a vertex has fewer than three numbers"})
 
-  # Polygons as fans of triangles.
+  # Polygons are split into fans of triangles.
   defp line(["f", a, b, c | more], {vertices, colors, faces, count}) do
     [a | others] = Enum.map([a, b, c | more], &index(&1, count))
 
@@ -66,7 +66,7 @@ defmodule Situ.Space.Scan.Obj do
 
   defp color(_weight, colors), do: colors
 
-  # Scanners write NaN where they saw no colour.
+  # Scanners write NaN for colours that were not measured.
   defp tone(word) do
     case Text.parse_number(word) do
       {:ok, x} when is_float(x) -> round(255 * (x |> max(0.0) |> min(1.0)))
@@ -76,7 +76,7 @@ defmodule Situ.Space.Scan.Obj do
     end
   end
 
-  # Where some vertices have none, nobody knows whose they are.
+  # If only some vertices have colours, they cannot be assigned to vertices.
   defp colors(colors, count) when length(colors) == count,
     do: colors |> Enum.reverse() |> IO.iodata_to_binary()
 
@@ -91,7 +91,7 @@ defmodule Situ.Space.Scan.Obj do
         count + n
 
       _ ->
-        throw({:bad, "a face names vertex #{inspect(String.slice(word, 0, 40))} of #{count}"})
+        throw({:bad, "a face refers to vertex #{inspect(String.slice(word, 0, 40))} of #{count}"})
     end
   end
 end

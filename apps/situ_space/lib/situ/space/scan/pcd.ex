@@ -1,7 +1,7 @@
 defmodule Situ.Space.Scan.Pcd do
   @moduledoc false
-  # PCD, the files of the Point Cloud Library: a header in text, then the points as text, as bytes, or as bytes that are
-  # compressed by LZF, field by field. Source: pointclouds.org, "The PCD (Point Cloud Data) file format", version 0.7.
+  # Parses PCD, the format of the Point Cloud Library: a text header, then the points as text, as binary records, or as
+  # LZF-compressed columns. Source: pointclouds.org, "The PCD (Point Cloud Data) file format", version 0.7.
   import Situ.Bits, only: [known: 1]
   alias Situ.{Error, PointCloud}
   alias Situ.Space.Kernel
@@ -10,7 +10,7 @@ defmodule Situ.Space.Scan.Pcd do
   @most_points 50_000_000
   @nan <<0, 0, 0xC0, 0x7F>>
 
-  @doc "The points with x, y and z; their colours, of the fields `rgb` or `rgba`; their values, of `intensity`."
+  @doc "Returns the points (x, y and z) with colours from the fields `rgb` or `rgba`, and values from `intensity`."
   @spec read(binary()) :: {:ok, PointCloud.t()} | {:error, Error.t()}
   def read(file) do
     with {:ok, header, body} <- split(file),
@@ -27,7 +27,7 @@ defmodule Situ.Space.Scan.Pcd do
   end
 
   defp bad(why),
-    do: {:error, Error.new(:bad_file, "this is no PCD file that can be read", why: why)}
+    do: {:error, Error.new(:bad_file, "invalid PCD file", why: why)}
 
   # The header ends with the line that begins with DATA.
   defp split(file) do
@@ -41,7 +41,7 @@ defmodule Situ.Space.Scan.Pcd do
         {:ok, header(head <> line), body}
 
       nil ->
-        {:error, "its header has no line DATA"}
+        {:error, "its header has no DATA line"}
     end
   end
 
@@ -54,7 +54,7 @@ defmodule Situ.Space.Scan.Pcd do
         do: {hd(words), tl(words)}
   end
 
-  # {name, type, bytes, how many, where in a row}
+  # {name, type, bytes per value, number of values, byte offset in a row}
   defp fields(%{"FIELDS" => names, "SIZE" => sizes, "TYPE" => types} = header)
        when length(names) == length(sizes) and length(names) == length(types) and
               length(names) <= 100 do
@@ -62,10 +62,10 @@ defmodule Situ.Space.Scan.Pcd do
 
     if length(counts) == length(names),
       do: place_fields(Enum.zip([names, types, sizes, counts])),
-      else: {:error, "its header has #{length(names)} FIELDS, and a COUNT of #{length(counts)}"}
+      else: {:error, "its header has #{length(names)} FIELDS, but a COUNT of #{length(counts)}"}
   end
 
-  defp fields(_header), do: {:error, "its header has no FIELDS, SIZE and TYPE of one length"}
+  defp fields(_header), do: {:error, "its header needs FIELDS, SIZE and TYPE of the same length"}
 
   defp place_fields(rows) do
     rows
@@ -75,7 +75,7 @@ defmodule Situ.Space.Scan.Pcd do
           {:cont, {:ok, [{name, type, size, count, at} | fields], at + size * count}}
 
         _ ->
-          {:halt, {:error, "its field #{inspect(name)} has no size that is known"}}
+          {:halt, {:error, "its field #{inspect(name)} has an invalid SIZE or COUNT"}}
       end
     end)
     |> case do
@@ -96,20 +96,20 @@ defmodule Situ.Space.Scan.Pcd do
     with {:ok, w} <- number(width), {:ok, h} <- number(height), do: {:ok, w * h}
   end
 
-  defp count(_header), do: {:error, "its header does not say how many points there are"}
+  defp count(_header), do: {:error, "its header does not state the number of points"}
 
   defp number(text) do
     case Integer.parse(text) do
       {n, ""} when n in 0..@most_points -> {:ok, n}
-      _ -> {:error, "#{inspect(text)} is no sensible number of points"}
+      _ -> {:error, "#{inspect(text)} is not a valid number of points"}
     end
   end
 
-  # A function that gives the bytes of the i-th value of a field, or the words of it.
+  # Splits the points into rows of bytes, columns of bytes, or rows of words.
   defp columns(["binary"], _fields, row, count, body) do
     if byte_size(body) >= row * count,
       do: {:ok, {:rows, binary_part(body, 0, row * count), row, count}},
-      else: {:error, "it is cut short: #{count} points are announced"}
+      else: {:error, "it is cut short: its header states #{count} points"}
   end
 
   defp columns(["binary_compressed"], _fields, row, count, body) do
@@ -129,17 +129,17 @@ defmodule Situ.Space.Scan.Pcd do
     rows = Enum.map(lines, &String.split/1)
 
     cond do
-      length(rows) < count -> {:error, "it is cut short: #{count} points are announced"}
-      Enum.any?(rows, &(length(&1) != words)) -> {:error, "a line has not #{words} numbers"}
+      length(rows) < count -> {:error, "it is cut short: its header states #{count} points"}
+      Enum.any?(rows, &(length(&1) != words)) -> {:error, "a line does not have #{words} numbers"}
       true -> {:ok, {:text, rows}}
     end
   end
 
   defp columns(data, _fields, _row, _count, _body),
-    do: {:error, "its data are #{inspect(data)}, not ascii, binary or binary_compressed"}
+    do: {:error, "its DATA is #{inspect(data)}, not ascii, binary or binary_compressed"}
 
-  # LZF by M. Lehmann: literals of 1 to 32 bytes, or copies of 3 to 264 bytes from up to 8 KiB before. The output is
-  # bounded by what the header announces.
+  # LZF by M. Lehmann: literals of 1 to 32 bytes, or copies of 3 to 264 bytes from up to 8 KiB earlier. The header
+  # bounds the size of the output.
   defp unpack(packed, size), do: unpack(packed, size, <<>>)
 
   defp unpack(<<>>, size, out), do: if(byte_size(out) == size, do: {:ok, out}, else: :error)
@@ -162,14 +162,14 @@ defmodule Situ.Space.Scan.Pcd do
 
   defp copy(_rest, _size, out, _length, back) when back > byte_size(out), do: :error
 
-  # A copy may reach into itself: then what is there is repeated.
+  # A copy may overlap its own output; the available bytes are then repeated.
   defp copy(rest, size, out, length, back) do
     part = binary_part(out, byte_size(out) - back, min(back, length))
     whole = String.duplicate(part, div(length, byte_size(part)) + 1)
     unpack(rest, size, out <> binary_part(whole, 0, length))
   end
 
-  # Points as they stand in memory are read by the kernel: there may be millions of them.
+  # The native kernel reads uncompressed binary points, because there may be millions of them.
   defp cloud(fields, {:rows, bytes, row, _count}) when row > 0 do
     numbers = fn names ->
       for name <- names,
@@ -189,7 +189,7 @@ defmodule Situ.Space.Scan.Pcd do
       PointCloud.new(points, tone && packed_colors(bytes, row, tone), values)
     else
       {:error, _} = error -> error
-      _ -> bad("its x, y and z are of no type that is known")
+      _ -> bad("its x, y and z have an unsupported type")
     end
   end
 
@@ -215,7 +215,7 @@ defmodule Situ.Space.Scan.Pcd do
       else: :binary.copy(<<0, 0, 0>>, div(byte_size(bytes), row))
   end
 
-  # Compressed points stand field by field.
+  # Compressed points are stored by column.
   defp values({_, type, size, many, at}, {:columns, bytes, count}, _fields) do
     for i <- 0..(count - 1)//1,
         do: value(type, size, binary_part(bytes, at * count + i * size * many, size))
@@ -232,7 +232,8 @@ defmodule Situ.Space.Scan.Pcd do
   defp value("F", 8, <<x::little-float-64>>), do: x
   defp value("U", size, bytes), do: with(<<x::little-unit(8)-known(size)>> <- bytes, do: x)
   defp value("I", size, bytes), do: with(<<x::little-signed-unit(8)-known(size)>> <- bytes, do: x)
-  # a float that is no number, or of no known type
+
+  # Floats with NaN or infinite bits do not match the patterns above, and neither do unknown types.
   defp value(_, 4, bytes), do: {:bits, bytes}
   defp value(_, _, _), do: :nan
 
@@ -245,7 +246,7 @@ defmodule Situ.Space.Scan.Pcd do
     end
   end
 
-  # A point with an infinite coordinate has no position, as one with NaN has none.
+  # A point with an infinite coordinate has no position, like a point with NaN.
   defp parse_number(text) do
     case Text.parse_number(text) do
       {:ok, x} when is_float(x) -> x
@@ -257,7 +258,7 @@ defmodule Situ.Space.Scan.Pcd do
   defp float(x) when is_number(x) and abs(x) < 3.4e38, do: <<x::little-float-32>>
   defp float(_), do: @nan
 
-  # A colour is a number of 32 bits, mostly written as the float that has these bits.
+  # A colour has 32 bits, and is usually written as the float with these bits.
   defp color(x, {_, "F", 4, _, _}) when is_float(x) and abs(x) < 3.4e38,
     do: bgr(<<x::little-float-32>>)
 

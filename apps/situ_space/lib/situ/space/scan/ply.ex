@@ -1,7 +1,7 @@
 defmodule Situ.Space.Scan.Ply do
   @moduledoc false
-  # PLY, as text or bytes: vertices with x, y, z and perhaps red, green, blue, intensity; faces as lists of vertices.
-  # Source: G. Turk, The PLY Polygon File Format, 1994.
+  # Parses PLY, as text or binary: vertices with x, y, z and optionally red, green, blue, intensity; faces as lists of
+  # vertices. Source: G. Turk, The PLY Polygon File Format, 1994.
   import Situ.Bits, only: [known: 1]
   alias Situ.{Error, Mesh, PointCloud}
   alias Situ.Space.Kernel
@@ -27,7 +27,7 @@ defmodule Situ.Space.Scan.Ply do
   }
   @most 100_000_000
 
-  @doc "A mesh where there are faces, else a cloud."
+  @doc "Returns a mesh if there are faces, otherwise a point cloud."
   @spec read(binary()) :: {:ok, Mesh.t() | PointCloud.t()} | {:error, Error.t()}
   def read(<<"ply", _::binary>> = file) do
     with [head, body] <- String.split(file, ~r/end_header\r?\n/, parts: 2),
@@ -47,7 +47,7 @@ defmodule Situ.Space.Scan.Ply do
 
   defp header(_lines), do: {:error, "its first line is not \"ply\""}
 
-  defp ordered({:ok, nil, _}), do: {:error, "its header names no format"}
+  defp ordered({:ok, nil, _}), do: {:error, "its header has no format"}
 
   defp ordered({:ok, format, elements}),
     do: {:ok, format, for({n, c, p} <- Enum.reverse(elements), do: {n, c, Enum.reverse(p)})}
@@ -66,7 +66,7 @@ defmodule Situ.Space.Scan.Ply do
         {:cont, {:ok, :big, elements}}
 
       {["format", other | _], _} ->
-        {:halt, {:error, "its format is #{other}"}}
+        {:halt, {:error, "its format #{other} is unknown"}}
 
       {["element", name, count], _} ->
         element(name, Integer.parse(count), format, elements)
@@ -81,7 +81,7 @@ defmodule Situ.Space.Scan.Ply do
         {:cont, {:ok, format, elements}}
 
       _ ->
-        {:halt, {:error, "its header has the line #{inspect(String.slice(line, 0, 60))}"}}
+        {:halt, {:error, "its header has the invalid line #{inspect(String.slice(line, 0, 60))}"}}
     end
   end
 
@@ -89,15 +89,15 @@ defmodule Situ.Space.Scan.Ply do
     do: {:cont, {:ok, format, [{name, count, []} | elements]}}
 
   defp element(name, _count, _format, _elements),
-    do: {:halt, {:error, "it has no sensible number of #{name}"}}
+    do: {:halt, {:error, "its number of #{name} elements is invalid"}}
 
   defp property(type, name, format, {n, c, p}, rest) do
     if type == nil or match?({:list, a, b} when a == nil or b == nil, type),
-      do: {:halt, {:error, "the type of its property #{name} is not known"}},
+      do: {:halt, {:error, "the type of its property #{name} is unknown"}},
       else: {:cont, {:ok, format, [{n, c, [{name, type} | p]} | rest]}}
   end
 
-  # Rows of each element, as lists of values in the order of its properties.
+  # Returns the rows of each element, as lists of values in the order of its properties.
   defp body(:ascii, elements, text) do
     lines = text |> String.split(~r/\r?\n/, trim: true) |> Enum.map(&String.split/1)
 
@@ -111,10 +111,10 @@ defmodule Situ.Space.Scan.Ply do
     end)
     |> rows()
   catch
-    :no_number -> {:error, "one of its lines holds no numbers"}
+    :no_number -> {:error, "a line has missing or invalid numbers"}
   end
 
-  # Records of one size are read by the kernel: there may be millions of them.
+  # The native kernel reads records of fixed size, because there may be millions of them.
   defp body(order, [{"vertex", count, [_ | _] = properties} | elements], bytes) do
     if Enum.any?(properties, &match?({_, {:list, _, _}}, &1)) do
       each(order, [{"vertex", count, properties} | elements], bytes)
@@ -137,7 +137,7 @@ defmodule Situ.Space.Scan.Ply do
   defp each(order, elements, bytes) do
     elements
     |> Enum.reduce({:ok, %{}, bytes}, fn {name, count, properties}, {:ok, rows, bytes} ->
-      # every row has a byte at least: what is announced is bounded by what is there
+      # Every row has at least one byte, so the remaining bytes bound the number of rows that the header states.
       if count > byte_size(bytes), do: throw(:short)
       {own, rest} = repeat(count, bytes, &values(properties, &1, order, []))
       {:ok, Map.put(rows, name, own), rest}
@@ -160,7 +160,7 @@ defmodule Situ.Space.Scan.Ply do
     [Enum.map(own, &number/1) | words(rest, properties)]
   end
 
-  # A colour of 1 is 255 where it is a float.
+  # Float properties stay floats, because a float colour of 1 means 255.
   defp words([word | words], [{_, {:float, _}} | properties]),
     do: [float_number(word) | words(words, properties)]
 
@@ -256,7 +256,7 @@ defmodule Situ.Space.Scan.Ply do
     end
   end
 
-  # Which of a vertex's properties, at which of its bytes, of which type.
+  # Returns the index, byte offset and type of each of these vertex properties.
   defp fields(properties, places) do
     for place <- places do
       before = for {_, {_, size}} <- Enum.take(properties, place), is_integer(size), do: size
@@ -299,7 +299,7 @@ defmodule Situ.Space.Scan.Ply do
          else: (_ -> nil)
   end
 
-  # Polygons as fans of triangles.
+  # Polygons are split into fans of triangles.
   defp mesh(vertices, faces, count) do
     triangles =
       for [a | others] when length(others) >= 2 <- faces,
@@ -311,9 +311,9 @@ defmodule Situ.Space.Scan.Ply do
        end),
        do:
          Mesh.new(vertices, for(i <- List.flatten(triangles), into: <<>>, do: <<i::little-32>>)),
-       else: bad("a face names a vertex that is not there")
+       else: bad("a face refers to a vertex that does not exist")
   end
 
   defp bad(why),
-    do: {:error, Error.new(:bad_file, "this is no PLY file that can be read", why: why)}
+    do: {:error, Error.new(:bad_file, "invalid PLY file", why: why)}
 end

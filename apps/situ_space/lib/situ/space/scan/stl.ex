@@ -1,14 +1,14 @@
 defmodule Situ.Space.Scan.Stl do
   @moduledoc false
-  # STL by 3D Systems, as bytes or as text: triangles, each with corners of its own. Normals and attributes are passed
-  # over; vertices at one place become one.
+  # Parses STL by 3D Systems, as binary or text: triangles that do not share corners. Normals and attributes are
+  # skipped, and vertices at the same position are merged.
   alias Situ.{Error, Mesh}
   alias Situ.Space.Scan.Text
 
   @most 20_000_000
 
   @spec read(binary()) :: {:ok, Mesh.t()} | {:error, Error.t()}
-  # Some programs begin their bytes with "solid", too: the size tells.
+  # Some programs begin binary files with "solid" as well, so the size decides.
   def read(<<_head::binary-size(80), count::little-32, body::binary>>)
       when byte_size(body) == count * 50 and count in 1..@most do
     corners =
@@ -18,7 +18,7 @@ defmodule Situ.Space.Scan.Stl do
 
     if finite?(corners),
       do: joined(for <<corner::binary-size(12) <- corners>>, do: corner),
-      else: bad("a corner's coordinates are no numbers")
+      else: bad("a corner's coordinates are not finite")
   end
 
   def read("solid" <> _ = text) do
@@ -28,15 +28,15 @@ defmodule Situ.Space.Scan.Stl do
 
     if corners != [] and rem(length(corners), 3) == 0,
       do: joined(corners),
-      else: bad("its vertices are no triangles")
+      else: bad("its vertices do not form triangles")
   catch
     {:bad, why} -> bad(why)
   end
 
-  def read(_bytes), do: bad("its size is not that of its triangles")
+  def read(_bytes), do: bad("its size does not match its number of triangles")
 
   defp bad(why),
-    do: {:error, Error.new(:bad_file, "this is no STL file that can be read", why: why)}
+    do: {:error, Error.new(:bad_file, "invalid STL file", why: why)}
 
   defp finite?(<<_::little-float-32, rest::binary>>), do: finite?(rest)
   defp finite?(rest), do: rest == ""
@@ -45,7 +45,7 @@ defmodule Situ.Space.Scan.Stl do
     for word <- words, into: <<>>, do: <<Text.parse_coordinate!(word)::little-float-32>>
   end
 
-  defp corner(_words), do: throw({:bad, "a vertex has not three numbers"})
+  defp corner(_words), do: throw({:bad, "a vertex does not have three numbers"})
 
   defp joined(corners) do
     {indices, {vertices, _}} =

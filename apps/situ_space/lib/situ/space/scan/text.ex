@@ -1,15 +1,15 @@
 defmodule Situ.Space.Scan.Text do
   @moduledoc false
-  # Numbers as files write them.
+  # Parses numbers in text files.
 
-  # Elixir's own parser raises where a number of hundreds of digits is no float.
+  # Elixir's own parser raises if a number has hundreds of digits and is too large for a float.
   @most 200
 
-  @typedoc "A number of IEEE 754."
+  @typedoc "An IEEE 754 number."
   @type ieee_number :: float() | :nan | :infinity | :neg_infinity
 
   @doc """
-  Parses a finite number, whole or not, with nothing after it.
+  Parses a finite number, with or without a fraction, with nothing after it.
 
       iex> Situ.Space.Scan.Text.float("1e-3")
       {:ok, 0.001}
@@ -24,7 +24,7 @@ defmodule Situ.Space.Scan.Text do
   end
 
   @doc """
-  Parses a number as C's `strtod` does: one too large for 64 bits is infinite, and "nan" and "inf" are numbers.
+  Parses a number like C's `strtod`: a number too large for 64 bits is infinite, and "nan" and "inf" are numbers.
 
       iex> for text <- ["1.5", "-1e400", "NaN", "inf", "1e-400", "1e", ""], do: Situ.Space.Scan.Text.parse_number(text)
       [{:ok, 1.5}, {:ok, :neg_infinity}, {:ok, :nan}, {:ok, :infinity}, {:ok, 0.0}, :error, :error]
@@ -40,12 +40,12 @@ defmodule Situ.Space.Scan.Text do
   def parse_number(_text), do: :error
 
   @doc """
-  Parses a coordinate, which is finite in 32 bits; otherwise throws `{:bad, why}`.
+  Parses a coordinate, which must be finite in 32 bits. Throws `{:bad, why}` if it is invalid.
 
       iex> Situ.Space.Scan.Text.parse_coordinate!("-1.5")
       -1.5
       iex> catch_throw(Situ.Space.Scan.Text.parse_coordinate!("x"))
-      {:bad, ~s("x" is no number)}
+      {:bad, ~s("x" is not a number)}
   """
   @spec parse_coordinate!(String.t()) :: float()
   def parse_coordinate!(word) do
@@ -58,11 +58,11 @@ defmodule Situ.Space.Scan.Text do
 
   @doc "Throws `{:bad, why}` for a word that is not a number."
   @spec throw_no_number(String.t()) :: no_return()
-  def throw_no_number(word), do: throw({:bad, "#{inspect(shorten(word))} is no number"})
+  def throw_no_number(word), do: throw({:bad, "#{inspect(shorten(word))} is not a number"})
 
   defp shorten(word), do: String.slice(word, 0, 40)
 
-  # Many write a number without the zero before or after its point, which Elixir's parser refuses.
+  # Many programs omit the zero before or after the decimal point, which Elixir's parser rejects.
   defp parse_other(text) do
     case Regex.run(~r/\A([+-]?)(\d*)(?:\.(\d*))?([eE][+-]?\d+)?\z/, text) do
       [_, sign, whole | rest] ->
@@ -74,7 +74,7 @@ defmodule Situ.Space.Scan.Text do
     end
   end
 
-  # The text has the form of a number, so only one that is too large fails here.
+  # The text has the form of a number, so parsing fails only if the number is too large.
   defp parse_whole(sign, whole, part, exponent) do
     case Float.parse("#{sign}#{zero(whole)}.#{zero(part)}#{exponent}") do
       {x, ""} -> x

@@ -1,6 +1,6 @@
 defmodule Situ.Space.Scan.Turn do
   @moduledoc false
-  # Files turn, stretch and move places: three rows of four numbers.
+  # Affine transforms from files, which rotate, scale and move positions: three rows of four numbers.
   @type t :: {row(), row(), row()}
   @typep row :: {float(), float(), float(), float()}
   @typep place :: {float(), float(), float()}
@@ -14,12 +14,12 @@ defmodule Situ.Space.Scan.Turn do
   @spec scale(place()) :: t()
   def scale({x, y, z}), do: {{x, 0.0, 0.0, 0.0}, {0.0, y, 0.0, 0.0}, {0.0, 0.0, z, 0.0}}
 
-  @doc "Of sixteen numbers, row by row; the last row is left out."
+  @doc "Builds a transform from sixteen numbers, row by row, and drops the last row."
   @spec rows([float()]) :: t()
   def rows([a, b, c, x, d, e, f, y, g, h, i, z | _]),
     do: {{a, b, c, x}, {d, e, f, y}, {g, h, i, z}}
 
-  @doc "Around an axis of any length but 0, by degrees."
+  @doc "Builds a rotation around an axis by degrees. The axis may have any length; a zero axis yields the identity."
   @spec around(place(), float()) :: t()
   def around(axis, degrees) do
     case Situ.Vector3.normalize(axis) do
@@ -33,7 +33,7 @@ defmodule Situ.Space.Scan.Turn do
     end
   end
 
-  @doc "First the second, then the first."
+  @doc "Composes two transforms. The second is applied first."
   @spec both(t(), t()) :: t()
   def both({r0, r1, r2}, inner), do: {row(r0, inner), row(r1, inner), row(r2, inner)}
 

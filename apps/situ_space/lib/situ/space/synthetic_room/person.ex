@@ -1,6 +1,6 @@
 defmodule Situ.Space.SyntheticRoom.Person do
   @moduledoc """
-  A person of the synthetic room at one time: joints, and the limbs around them.
+  A person in the synthetic room at one time: the joints, and the limbs around them.
 
       iex> alias Situ.Space.SyntheticRoom.Person
       iex> body = Person.skeleton(Person.standing(7, {2.0, 0.0, 0.0}, 0.0))
@@ -13,8 +13,8 @@ defmodule Situ.Space.SyntheticRoom.Person do
   defstruct [:id, :place, :heading, stride: 0.0, reach: nil, speaking: false]
 
   @typedoc """
-  `place` is where the person stands on the floor (metres), `heading` where the person faces (radians from x to y),
-  `stride` the phase of the walk (radians; 0 stands), `reach` the point that the right arm points at.
+  `place` is the person's position on the floor (metres), `heading` the direction that the person faces (radians from x
+  to y), `stride` the phase of the walk (radians; 0 when standing), `reach` the target of the right arm.
   """
   @type t :: %__MODULE__{
           id: term(),
@@ -45,11 +45,11 @@ defmodule Situ.Space.SyntheticRoom.Person do
   @thigh 0.42
   @shin 0.42
 
-  @doc "Somebody who stands there."
+  @doc "Builds a standing person at a position."
   @spec standing(term(), Vector3.t(), float()) :: t()
   def standing(id, place, heading), do: %__MODULE__{id: id, place: place, heading: heading}
 
-  @doc "The joints, in the room's frame; each turned as the body is."
+  @doc "Returns the joints in the room's frame; each has the rotation of the body."
   @spec skeleton(t()) :: Skeleton.t()
   def skeleton(%__MODULE__{} = person) do
     turn = Quaternion.from_axis_angle({0.0, 0.0, 1.0}, person.heading)
@@ -119,7 +119,7 @@ defmodule Situ.Space.SyntheticRoom.Person do
   @clothes [{46, 96, 168}, {168, 62, 58}, {70, 130, 80}, {150, 110, 40}]
   @trousers {52, 56, 66}
 
-  @doc "The limbs, as the room's renderer takes them. Who speaks has a brighter head."
+  @doc "Returns the limbs as shapes for the renderer. A speaking person has a brighter head."
   @spec shapes(t(), Skeleton.t()) :: [tuple()]
   def shapes(%__MODULE__{} = person, %Skeleton{} = body) do
     shirt = Enum.at(@clothes, :erlang.phash2(person.id, length(@clothes)))

@@ -1,7 +1,7 @@
 defmodule Situ.Space.SyntheticRoom.Scene do
   @moduledoc """
-  The synthetic room as a function of time: where everything is, to the last digit. Two people, one of whom walks to and
-  fro; the other stands and points at a ball that floats. They speak in turn.
+  The synthetic room as an exact function of time. Person 0 walks to and fro, and person 1 points at a floating ball.
+  They take turns speaking.
 
       iex> alias Situ.Space.SyntheticRoom.Scene
       iex> scene = Scene.at(1.0)
@@ -16,7 +16,7 @@ defmodule Situ.Space.SyntheticRoom.Scene do
   @enforce_keys [:people, :bodies, :ball, :camera]
   defstruct [:people, :bodies, :ball, :camera]
 
-  @typedoc "`ball` is where its middle is, `camera` the camera's pose; times are seconds from the beginning."
+  @typedoc "`ball` is the position of its centre, `camera` the camera's pose; times are seconds from the start."
   @type t :: %__MODULE__{
           people: [Person.t()],
           bodies: [Skeleton.t()],
@@ -24,7 +24,7 @@ defmodule Situ.Space.SyntheticRoom.Scene do
           camera: Pose.t()
         }
 
-  @typedoc "Who speaks when: the person's id, from and to in seconds."
+  @typedoc "When people speak: the person's id, start and end in seconds."
   @type speech :: [{term(), number(), number()}]
 
   @gravity 9.80665
@@ -32,8 +32,8 @@ defmodule Situ.Space.SyntheticRoom.Scene do
   @step 1.0e-4
 
   @doc """
-  The room at `t` seconds. `speech` says who speaks when; without it the two take turns of two seconds, half a second
-  apart. `sway` is how far (metres, and radians) the camera moves about its place.
+  Returns the room at `t` seconds. `speech` lists when each person speaks. By default the two take turns of two seconds,
+  half a second apart. `sway` is how far (metres, and radians) the camera moves around its position.
   """
   @spec at(number(), speech() | nil, number()) :: t()
   def at(t, speech \\ nil, sway \\ 0.0) do
@@ -53,7 +53,7 @@ defmodule Situ.Space.SyntheticRoom.Scene do
     }
   end
 
-  @doc "Whether a person speaks at `t` seconds."
+  @doc "Returns whether a person speaks at `t` seconds."
   @spec speaking?(term(), number(), speech() | nil) :: boolean()
   def speaking?(id, t, nil) do
     turn = floor(t / 2.5)
@@ -63,7 +63,7 @@ defmodule Situ.Space.SyntheticRoom.Scene do
   def speaking?(id, t, speech),
     do: Enum.any?(speech, fn {who, from, to} -> who == id and t >= from and t < to end)
 
-  # To and fro along y; the feet move as fast as the body does.
+  # The person walks to and fro along y, and the feet move at the speed of the body.
   defp walker(t) do
     place = fn t -> {3.0 + 0.35 * :math.cos(0.5 * t), 0.2 + 0.9 * :math.sin(0.5 * t), 0.0} end
     {x, y, _} = Vector3.subtract(place.(t + @step), place.(t))
@@ -93,7 +93,7 @@ defmodule Situ.Space.SyntheticRoom.Scene do
     Pose.new(position, Quaternion.from_euler(yaw, pitch, 0.0))
   end
 
-  @doc "Everything that can be seen, as the renderer takes it: walls first, then furniture, the ball, the people."
+  @doc "Returns all visible shapes for the renderer: walls, furniture, ball, people."
   @spec shapes(t()) :: [tuple()]
   def shapes(%__MODULE__{} = scene) do
     limbs =
@@ -119,7 +119,7 @@ defmodule Situ.Space.SyntheticRoom.Scene do
     ]
   end
 
-  @doc "Where the second person points: from the shoulder through the hand."
+  @doc "Returns the ray along which the second person points, in the direction from the shoulder to the hand."
   @spec pointing(t()) :: Ray3.t()
   def pointing(%__MODULE__{bodies: [_, body]}) do
     shoulder = Skeleton.position(body, :right_shoulder)
@@ -128,7 +128,7 @@ defmodule Situ.Space.SyntheticRoom.Scene do
     ray
   end
 
-  @doc "The reading of an inertial sensor in the camera at `t` seconds, from differences of its pose over 20 ms."
+  @doc "Returns the reading of an inertial sensor in the camera at `t` seconds, from its poses within 20 ms."
   @spec imu(number(), number()) :: ImuReading.t()
   def imu(t, sway) do
     h = 1.0e-2

@@ -1,7 +1,7 @@
 defmodule Situ.Space.SyntheticRoom.Voice do
   @moduledoc """
-  The sound in the synthetic room: whoever speaks hums syllables, four a second, at a pitch of their own. A function of
-  the sample's number, so that it is the same however it is cut.
+  The audio in the synthetic room: a speaking person hums four syllables a second, each person at another pitch. Samples
+  depend only on their number, so the audio is the same however it is split into buffers.
 
       iex> alias Situ.Space.SyntheticRoom.Voice
       iex> Voice.samples(0..3, 16_000, fn _id, _t -> false end)
@@ -11,7 +11,7 @@ defmodule Situ.Space.SyntheticRoom.Voice do
   @harmonics [{1, 1.0}, {2, 0.7}, {3, 0.5}, {4, 0.6}, {6, 0.35}, {9, 0.2}]
   @loudness 5_200
 
-  @doc "The 16-bit samples with these numbers, at `rate` a second; `speaks?` is asked with an id and seconds."
+  @doc "Returns the 16-bit samples with these numbers at `rate` per second; calls `speaks?` with an id and seconds."
   @spec samples(Range.t(), pos_integer(), (term(), float() -> boolean())) :: [integer()]
   def samples(numbers, rate, speaks?) do
     for n <- numbers do

@@ -1,9 +1,9 @@
 defmodule Situ.Space.DepthCamera.Library.Program do
   @moduledoc false
-  # The program depth_port: where it is, how it is started, and its packets (see ports/depth_port/main.cc).
+  # Finds and starts the program depth_port, and decodes its packets (see ports/depth_port/main.cc).
   alias Situ.{CameraIntrinsics, Error}
 
-  # Two are under way of each kind: one more than none while one is taken.
+  # Two images of each kind are requested in advance, so that one is being captured while the other is processed.
   @asked 2
   @kinds [depth: 1, color: 2]
   @kind_of Map.new(@kinds, fn {kind, byte} -> {byte, kind} end)
@@ -17,7 +17,7 @@ defmodule Situ.Space.DepthCamera.Library.Program do
   @type lens :: CameraIntrinsics.t() | size() | nil
   @type size :: {pos_integer(), pos_integer()}
 
-  @doc "The words to start it with, and its environment."
+  @doc "Returns the arguments and the environment for a device."
   @spec arguments(String.t()) ::
           {:ok, {[String.t()], [{String.t(), String.t()}]}} | {:error, Error.t()}
   def arguments(device) do
@@ -34,13 +34,13 @@ defmodule Situ.Space.DepthCamera.Library.Program do
   defp index(_other, device), do: {:error, bad_device(device)}
 
   defp bad_device(device) do
-    Error.new(:bad_device, "#{inspect(device)} is no depth camera",
-      why: "there are \"openni2:URI\", \"freenect:INDEX\" and \"fakenect:FOLDER\"",
-      fix: "`situ devices` lists those that are there"
+    Error.new(:bad_device, "#{inspect(device)} is not a depth camera",
+      why: "valid addresses are \"openni2:URI\", \"freenect:INDEX\" and \"fakenect:FOLDER\"",
+      fix: "`situ devices` lists the connected cameras"
     )
   end
 
-  # The library of libfreenect's that plays recordings has the place of the other.
+  # libfreenect's playback library has the same file name as the real one. LD_LIBRARY_PATH makes it take precedence.
   defp recording(folder) do
     with true <- File.regular?(Path.join(folder, "INDEX.txt")),
          [library | _] <- Path.wildcard("/usr/lib/*/fakenect") do
@@ -48,19 +48,19 @@ defmodule Situ.Space.DepthCamera.Library.Program do
     else
       false ->
         {:error,
-         Error.new(:no_camera, "#{folder} is no recording of a Kinect",
+         Error.new(:no_camera, "#{folder} is not a Kinect recording",
            why: "it has no INDEX.txt, which fakenect-record writes"
          )}
 
       [] ->
         {:error,
-         Error.new(:no_camera, "libfreenect's library fakenect is not there",
+         Error.new(:no_camera, "libfreenect's library fakenect is not installed",
            fix: "run bin/setup --with depth"
          )}
     end
   end
 
-  @doc "Starts it; its packets come to the calling process."
+  @doc "Starts the program. The calling process receives its packets."
   @spec open(String.t()) :: {:ok, port()} | {:error, Error.t()}
   def open(device) do
     with {:ok, program} <- path(), {:ok, {words, env}} <- arguments(device) do
@@ -77,21 +77,21 @@ defmodule Situ.Space.DepthCamera.Library.Program do
     end
   end
 
-  @doc "Asks for the first pictures, or for one more of a kind."
+  @doc "Requests the first images, or one more image of a kind."
   @spec ask(port(), :depth | :color | :first) :: true
   def ask(port, :first),
     do: command(port, for({_kind, byte} <- @kinds, _ <- 1..@asked, do: byte))
 
   def ask(port, kind), do: command(port, [Keyword.fetch!(@kinds, kind)])
 
-  # It may have ended already, and its last words are on their way.
+  # The program may have exited already, with its last messages still in flight.
   defp command(port, bytes) do
     Port.command(port, bytes)
   rescue
     ArgumentError -> true
   end
 
-  @doc "Ends it."
+  @doc "Ends the program."
   @spec close(port()) :: :ok
   def close(port) do
     Port.close(port)
@@ -100,7 +100,7 @@ defmodule Situ.Space.DepthCamera.Library.Program do
     ArgumentError -> :ok
   end
 
-  @doc "A line for each camera."
+  @doc "Returns one line for each camera."
   @spec list() :: [String.t()]
   def list do
     with {:ok, program} <- path(),
@@ -111,7 +111,7 @@ defmodule Situ.Space.DepthCamera.Library.Program do
     end
   end
 
-  @doc "Where the program is."
+  @doc "Returns the path of the program."
   @spec path() :: {:ok, Path.t()} | {:error, Error.t()}
   def path do
     path =
@@ -123,14 +123,14 @@ defmodule Situ.Space.DepthCamera.Library.Program do
     else
       {:error,
        Error.new(:no_depth_port, "this camera needs the program depth_port",
-         why: "#{path} is not there",
+         why: "#{path} does not exist",
          fix:
-           "run bin/setup --with depth (small packages of Debian's), or set SITU_DEPTH_PORT to it"
+           "run bin/setup --with depth (installs small Debian packages), or set SITU_DEPTH_PORT to its path"
        )}
     end
   end
 
-  @doc "A packet as a term; `:error` for none that the program sends."
+  @doc "Decodes a packet of the program; returns `:error` for invalid packets."
   @spec decode(binary()) :: packet() | :error
   def decode(<<0, depth::binary-size(24), color::binary-size(24), name::binary>>),
     do: {:camera, text(name), %{depth: lens(depth), color: lens(color)}}

@@ -1,8 +1,7 @@
 defmodule Situ.Space.DepthCamera.Library.Reader do
   @moduledoc """
-  The source behind `Situ.Space.DepthCamera.Library`: views of depth and of colour, as the program `depth_port` sends
-  them. It asks for another picture when one was taken: what a slow pipeline has no room for is lost at the program,
-  and counted.
+  The source of `Situ.Space.DepthCamera.Library`: views of depth and colour from the program `depth_port`. It requests
+  another image when one was taken. If a pipeline is too slow, the program drops images and counts them.
   """
   use Situ.Component,
     outputs: [depth: Situ.CameraView, color: Situ.CameraView],
@@ -20,7 +19,7 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
   require Logger
 
   @retry_ms 1_000
-  # Clocks this near are one clock, read twice.
+  # Two readings of the same clock differ by at most this much.
   @same_clock 1_000_000
 
   @enforce_keys [:opts]
@@ -61,7 +60,7 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
     end
   end
 
-  # By the machine's time: a pipeline's clock may stand still, or run.
+  # The watchdog uses the machine's time, because a pipeline's clock may be stopped or run at another speed.
   defp watch(camera) do
     Process.send_after(self(), {:watch, camera.port}, div(camera.opts.stall_timeout, 1_000_000))
     camera
@@ -91,7 +90,7 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
   defp packet({:camera, name, lenses}, camera, _context) do
     if camera.losing, do: Logger.info("#{camera.opts.device} is back")
     camera = %{camera | name: name, losing: nil, lenses: lenses!(lenses, camera.opts)}
-    # Of a camera without colour no colour will come.
+    # A camera without colour will never send a colour image.
     {if(lenses.color, do: [], else: [{:close, :color}]), camera}
   end
 
@@ -111,7 +110,7 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
 
   defp packet({:failed, why}, camera, _context), do: lost(camera, why)
   defp packet(:over, camera, _context), do: over(camera)
-  defp packet(:error, camera, _context), do: lost(camera, "its program sent no packet")
+  defp packet(:error, camera, _context), do: lost(camera, "its program sent an invalid packet")
 
   defp viewed(:depth, {width, height}, pixels) do
     [
@@ -143,7 +142,7 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
     end
   end
 
-  # Once it has run, a camera comes back; one that was never there is an error.
+  # A camera that has delivered data is expected to come back. One that was never found is an error.
   defp lost(camera, why) do
     camera = close(camera)
 
@@ -154,14 +153,14 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
       Process.send_after(self(), :reconnect, @retry_ms)
       {[], %{camera | losing: why}}
     else
-      raise Error.new(:no_camera, "#{camera.opts.device} gives no pictures",
+      raise Error.new(:no_camera, "#{camera.opts.device} delivers no images",
               why: why,
-              fix: "`situ devices` lists the cameras that are there"
+              fix: "`situ devices` lists the connected cameras"
             )
     end
   end
 
-  # The pictures that have come go out first.
+  # Images that have already arrived are emitted first.
   defp over(%{waiting: []} = camera) do
     times = Map.values(camera.last)
     {[{:complete, Enum.max(times, fn -> 0 end)}], %{close(camera) | over: false}}
@@ -186,7 +185,7 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
   def describe(camera) do
     state = if camera.port, do: "running", else: "not connected"
 
-    "#{camera.opts.device} (#{camera.name || "not opened yet"}): #{state}, #{camera.lost} pictures lost"
+    "#{camera.opts.device} (#{camera.name || "not opened yet"}): #{state}, #{camera.lost} images lost"
   end
 
   defp lenses!(told, opts) do
@@ -202,8 +201,8 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
   defp known!(%CameraIntrinsics{} = lens, _opts), do: lens
 
   defp known!(_size, opts) do
-    raise Error.new(:no_intrinsics, "#{opts.device} does not tell its lens",
-            fix: "give it by `intrinsics:`, for pictures of the size that the camera gives"
+    raise Error.new(:no_intrinsics, "#{opts.device} does not report its intrinsics",
+            fix: "set `intrinsics:` for images of the size that the camera delivers"
           )
   end
 
@@ -212,9 +211,9 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
   defp sized!(lens, {width, height}, kind) do
     raise Error.new(
             :bad_camera,
-            "the camera gives pictures of #{width}x#{height}, the lens of its #{kind} is " <>
+            "the camera gives images of #{width}x#{height}, the intrinsics of its #{kind} are " <>
               "for #{lens.width}x#{lens.height}",
-            fix: "give the intrinsics for the size that the camera gives"
+            fix: "give the intrinsics for the size that the camera delivers"
           )
   end
 end
