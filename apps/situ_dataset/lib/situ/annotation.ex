@@ -1,20 +1,19 @@
 defmodule Situ.Annotation do
   @moduledoc """
-  Somebody's word on a span of time: "participant 1 speaks from here to there".
+  A statement that a person or a program makes about a span of time: "participant 1 speaks from here to there".
 
-  An annotation has an interval, a track (a row of the timeline: one per person, say), a value for each attribute of
-  the stream's `Situ.Annotation.Schema`, and where it comes from:
+  An annotation has an interval, a track (a row of the timeline, such as one per person), a value for each attribute
+  of the stream's `Situ.Annotation.Schema`, and its author:
 
-    * `from`, `to`: ns, `from <= to`; a point in time has both alike
-    * `track`: one track holds no two annotations that overlap; touching is no overlap
+    * `from`, `to`: ns, `from <= to`; both are equal for a point in time
+    * `track`: the annotations of one track do not overlap, but they may touch
     * `values`: `%{"Speaker" => "P1", "Laughs" => false}`
     * `by`: the annotator or program, or `nil`; `confidence`: 0.0..1.0 or `nil`
-    * `proposed?`: a program's suggestion that nobody has accepted yet
-    * `note`: free text; `id`: a number that stays the same while it is edited
+    * `proposed?`: whether a program suggested it and nobody has accepted it yet
+    * `note`: free text; `id`: a number that does not change when the annotation is edited
 
   **Annotations are an ordinary stream**: a message is the list of the annotations that end at its originating time,
-  at most one of each track, sorted by track. So they are recorded, replayed, joined and queried like any other
-  stream.
+  at most one per track, sorted by track. They are recorded, replayed, joined and queried like any other stream.
 
       iex> a = Situ.Annotation.new(0, 10, "P1", %{"Speaks" => true})
       iex> b = Situ.Annotation.new(10, 20, "P1", %{"Speaks" => false})
@@ -26,11 +25,11 @@ defmodule Situ.Annotation do
   | to | see |
   |---|---|
   | describe attributes, their values, colours and keys | `Situ.Annotation.Schema` |
-  | hold, edit and check the annotations of a stream | `Situ.Annotation.Layer` |
+  | store, edit and check the annotations of a stream | `Situ.Annotation.Layer` |
   | undo and redo, keep unsaved edits through a crash | `Situ.Annotation.Editor` |
   | read them from and write them to a recording | `Situ.Annotation.Recording` |
-  | make them out of a stream of booleans or maps | `Situ.Annotation.Segmenting` |
-  | make them out of messages that say from when to when | `Situ.Annotation.Spans` |
+  | derive them from a stream of booleans or maps | `Situ.Annotation.Segmenting` |
+  | derive them from messages that contain a start and an end | `Situ.Annotation.Spans` |
   | exchange them with ELAN, Praat, WebVTT and others | `Situ.Annotation.Exchange` |
   | compare two annotators | `Situ.Annotation.Agreement` |
   """
@@ -51,7 +50,7 @@ defmodule Situ.Annotation do
           proposed?: boolean()
         }
 
-  @doc "An annotation; `more` sets the other fields. Raises `ArgumentError` when it ends before it begins."
+  @doc "Builds an annotation; `more` sets the other fields. Raises `ArgumentError` if it ends before it begins."
   @spec new(Situ.Time.t(), Situ.Time.t(), String.t(), map(), keyword()) :: t()
   def new(from, to, track, values \\ %{}, more \\ []) do
     annotation = struct!(%__MODULE__{from: from, to: to, track: track, values: values}, more)
@@ -62,12 +61,12 @@ defmodule Situ.Annotation do
     end
   end
 
-  @doc "Whether the fields are of their types and the interval runs forward. Error: `:bad_annotation`."
+  @doc "Checks the types of the fields and that the interval does not end before it begins. Error: `:bad_annotation`."
   @spec check(t()) :: :ok | {:error, Error.t()}
   def check(%__MODULE__{from: from, to: to} = a) do
     cond do
       not (is_integer(from) and is_integer(to)) ->
-        bad("its times are no nanoseconds")
+        bad("`from` or `to` is not an integer (ns)")
 
       from > to ->
         bad("it ends #{Situ.Time.format_duration(from - to)} before it begins")
@@ -76,16 +75,16 @@ defmodule Situ.Annotation do
         bad("its track has no name")
 
       not is_map(a.values) or not Enum.all?(Map.keys(a.values), &text?/1) ->
-        bad("its values are no map of names")
+        bad("its values are not a map with names as keys")
 
       a.confidence != nil and not unit?(a.confidence) ->
-        bad("its confidence is not 0.0 to 1.0")
+        bad("its confidence is not between 0.0 and 1.0")
 
       not Enum.all?([a.by, a.note], &(&1 == nil or text?(&1))) ->
-        bad("its annotator or note is no text")
+        bad("its annotator or note is not a string")
 
       not is_boolean(a.proposed?) ->
-        bad("proposed? is no boolean")
+        bad("`proposed?` is not a boolean")
 
       true ->
         :ok
@@ -97,25 +96,25 @@ defmodule Situ.Annotation do
 
   defp bad(why) do
     {:error,
-     Error.new(:bad_annotation, "this is no annotation", why: why, fix: "correct its fields")}
+     Error.new(:bad_annotation, "invalid annotation", why: why, fix: "correct its fields")}
   end
 
   @doc """
-  Whether two annotations of one track exclude each other: they share more than a point, they end together, or one
-  is a point inside the other.
+  Returns whether two annotations of one track exclude each other: they share more than a point, they end together,
+  or one is a point inside the other.
   """
   @spec overlap?(t(), t()) :: boolean()
   def overlap?(%{from: a, to: b}, %{from: c, to: d}), do: b == d or (a < d and c < b)
 
-  @doc "Whether `time` lies in the interval, both ends included."
+  @doc "Returns whether `time` is in the interval; both ends are included."
   @spec contains?(t(), Situ.Time.t()) :: boolean()
   def contains?(%__MODULE__{from: from, to: to}, time), do: from <= time and time <= to
 
-  @doc "To minus from, ns."
+  @doc "Returns the duration (`to - from`) in ns."
   @spec duration(t()) :: Situ.Time.duration()
   def duration(%__MODULE__{from: from, to: to}), do: to - from
 
-  @doc "The messages of an annotation stream: one for each end, in order; creation times are the originating ones."
+  @doc "Returns the messages of an annotation stream, one per end time; creation times equal originating times."
   @spec messages([t()]) :: [Message.t()]
   def messages(annotations) do
     annotations
@@ -128,7 +127,7 @@ defmodule Situ.Annotation do
     end)
   end
 
-  @doc "For JSON: `from` and `to` in ns, fields that say nothing left out."
+  @doc "Converts an annotation to a map for JSON: `from` and `to` in ns, without fields that are empty."
   @spec to_json(t()) :: map()
   def to_json(%__MODULE__{} = annotation) do
     annotation
@@ -137,7 +136,7 @@ defmodule Situ.Annotation do
     |> Map.new(fn {key, value} -> {key |> to_string() |> String.trim_trailing("?"), value} end)
   end
 
-  @doc "Back from `to_json/1`."
+  @doc "Builds an annotation from a map that `to_json/1` returned."
   @spec from_json(term()) :: {:ok, t()} | {:error, Error.t()}
   def from_json(%{} = json) do
     annotation = %__MODULE__{
@@ -155,5 +154,5 @@ defmodule Situ.Annotation do
     with :ok <- check(annotation), do: {:ok, annotation}
   end
 
-  def from_json(_), do: bad("it is no object")
+  def from_json(_), do: bad("it is not a JSON object")
 end

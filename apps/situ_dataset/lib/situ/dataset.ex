@@ -1,6 +1,6 @@
 defmodule Situ.Dataset do
   @moduledoc """
-  A study as data: sessions, each with its recordings (partitions), metadata and tags, in one JSON file that people
+  A dataset of a study: sessions with their recordings (partitions), metadata and tags, in one JSON file that people
   may edit.
 
       iex> folder = Path.join(System.tmp_dir!(), "situ-doc-dataset")
@@ -16,18 +16,18 @@ defmodule Situ.Dataset do
       iex> File.rm_rf!(folder) != []
       true
 
-  `open/1` takes a dataset file (`Situ.Dataset.Document`), a `.pds` of \\psi, a folder of recordings, or one
-  recording. A dataset is a plain value: edits answer `{:ok, dataset}`, and with `autosave: true` are on disk by then
-  (whole or not at all); else `unsaved?` is true. Edits that another program has saved are never overwritten:
-  `save/1` refuses then, and `update/2` edits the file as it is. `Situ.Dataset.Server` is a process that holds one for
-  several users and tells them of changes.
+  `open/1` accepts a dataset file (`Situ.Dataset.Document`), a `.pds` file of \\psi, a folder of recordings, or one
+  recording. A dataset is a plain value and edits return `{:ok, dataset}`. With `autosave: true` every edit is saved
+  atomically before it returns; otherwise `unsaved?` is true. Edits that another program has saved are never
+  overwritten: `save/1` returns an error in this case, and `update/2` edits the current content of the file.
+  `Situ.Dataset.Server` is a process that shares a dataset between several users and notifies them of changes.
 
   | to | see |
   |---|---|
   | read the streams of a session | `Situ.Dataset.OpenSession` |
   | replay a session in a pipeline | `Situ.Dataset.Importer` |
-  | know spans, sizes, counts | `summary/1`, `Situ.Dataset.Session.summary/1`, `Situ.Dataset.Partition.summary/1` |
-  | know what is missing or damaged | `troubles/1` |
+  | get spans, sizes, counts | `summary/1`, `Situ.Dataset.Session.summary/1`, `Situ.Dataset.Partition.summary/1` |
+  | find missing or damaged recordings | `troubles/1` |
   """
   alias Situ.Dataset.{
     Checksum,
@@ -44,10 +44,10 @@ defmodule Situ.Dataset do
   alias Situ.{Error, Options}
 
   @options [
-    file: [type: {:optional, :string}, doc: "Where it is saved."],
-    autosave: [type: :boolean, default: false, doc: "Save after every edit; needs `file:`."],
-    metadata: [type: :map, default: %{}, doc: "Anything that JSON can say."],
-    tags: [type: {:list, :string}, default: [], doc: "Words to find it by."]
+    file: [type: {:optional, :string}, doc: "The file to save to."],
+    autosave: [type: :boolean, default: false, doc: "Save after every edit; requires `file:`."],
+    metadata: [type: :map, default: %{}, doc: "Any JSON object."],
+    tags: [type: {:list, :string}, default: [], doc: "Words for searching."]
   ]
 
   defstruct name: "Untitled Dataset",
@@ -73,10 +73,10 @@ defmodule Situ.Dataset do
         }
   @type result :: {:ok, t()} | {:error, Error.t()}
 
-  # Making, opening, saving
+  # Creating, opening, saving
 
   @doc """
-  An empty dataset; with `file:` and `autosave: true` it is saved at once.
+  Creates an empty dataset; with `file:` and `autosave: true` it is saved immediately.
 
   #{Options.docs(@options)}
   """
@@ -89,18 +89,18 @@ defmodule Situ.Dataset do
   end
 
   defp autosaving(_dataset, nil, true) do
-    {:error,
-     Error.new(:no_file, "a dataset without a file cannot save itself", fix: "give file:")}
+    {:error, Error.new(:no_file, "cannot autosave a dataset without a file", fix: "pass file:")}
   end
 
   defp autosaving(dataset, file, autosave?),
     do: {:ok, %{dataset | file: file && Path.expand(file), autosave?: autosave?}}
 
   @doc """
-  Opens a dataset file, a `.pds` file, a folder of recordings (each folder in it a session) or one recording (one
-  session of it).
+  Opens a dataset file, a `.pds` file, a folder of recordings (each subfolder is a session) or one recording (as a
+  dataset with one session).
 
-  Option `autosave:` (false). A `.pds` has no `file`: it is saved under another name, and not overwritten.
+  Option: `autosave:` (default `false`). A dataset from a `.pds` file has no `file`, so the original is not
+  overwritten; save it under another name.
   """
   @spec open(Path.t(), keyword()) :: result()
   def open(path, opts \\ []) do
@@ -129,7 +129,7 @@ defmodule Situ.Dataset do
 
   defp found({:error, error}), do: {:error, error}
 
-  @doc "Opens a dataset file, and nothing else. Options as `open/2`."
+  @doc "Opens a dataset file and does not accept other paths. Takes the options of `open/2`."
   @spec load(Path.t(), keyword()) :: result()
   def load(path, opts \\ []) do
     path = Path.expand(path)
@@ -142,13 +142,15 @@ defmodule Situ.Dataset do
   end
 
   @doc """
-  Writes the dataset to its file, whole or not at all. Error: `:no_file`, `:not_saved`, `:dataset_in_use`;
-  `:dataset_changed` when another program has saved the file since this dataset was read from it or saved to it.
+  Writes the dataset to its file atomically. Errors: `:no_file`, `:not_saved`, `:dataset_in_use`, and
+  `:dataset_changed` if another program has saved the file since this dataset was read or saved.
   """
   @spec save(t()) :: result()
   def save(%__MODULE__{file: nil}) do
     {:error,
-     Error.new(:no_file, "the dataset has no file yet", fix: "save it with `save_as/2` (or -o)")}
+     Error.new(:no_file, "the dataset does not have a file",
+       fix: "save it with `save_as/2` (or -o)"
+     )}
   end
 
   def save(%__MODULE__{file: file} = dataset) do
@@ -158,21 +160,21 @@ defmodule Situ.Dataset do
   end
 
   @doc """
-  Writes the dataset to another file, which becomes its file; paths in it are relative to that. An existing file is
-  replaced.
+  Writes the dataset to another file, which becomes its file; an existing file is replaced. Paths in the dataset are
+  stored relative to the new file.
   """
   @spec save_as(t(), Path.t()) :: result()
   def save_as(%__MODULE__{} = dataset, path),
     do: save(%{dataset | file: Path.expand(path), digest: nil})
 
   @doc """
-  Reads the dataset from its file, changes it by a function `dataset -> {:ok, dataset} | {:error, error}`, and saves it.
-  Use this for files that other programs edit, too. They wait meanwhile, so `fun` must be quick and must not save the
-  dataset itself. A dataset without a file is changed as it is.
+  Reads the dataset from its file, changes it with a function `dataset -> {:ok, dataset} | {:error, error}`, and saves
+  it. Use this for files that other programs also edit. Other programs wait while `fun` is running, so it must be
+  quick and must not save the dataset itself. For a dataset without a file, `update/2` only applies `fun`.
 
       Situ.Dataset.update(dataset, &Situ.Dataset.put(&1, tags: ["pilot" | &1.tags]))
 
-  Errors: those of `fun` and of `save/1`. `:dataset_changed` only if the dataset has unsaved edits.
+  Errors: the errors of `fun` and of `save/1`. `:dataset_changed` is returned only if the dataset has unsaved edits.
   """
   @spec update(t(), (t() -> result())) :: result()
   def update(%__MODULE__{file: nil} = dataset, fun), do: fun.(dataset)
@@ -204,18 +206,18 @@ defmodule Situ.Dataset do
          do: {:ok, %{dataset | unsaved?: false, digest: digest}}
   end
 
-  # Every edit ends here.
+  # Every edit ends with this function, which saves the dataset if autosave is on.
   defp commit(%__MODULE__{autosave?: true} = dataset), do: save(%{dataset | unsaved?: true})
   defp commit(%__MODULE__{} = dataset), do: {:ok, %{dataset | unsaved?: true}}
 
   # Sessions
 
-  @doc "The session of that name. Error: `:no_session`, with the nearest name."
+  @doc "Returns the session with that name. Error: `:no_session`, which suggests the nearest name."
   @spec session(t(), String.t()) :: {:ok, Session.t()} | {:error, Error.t()}
   def session(%__MODULE__{} = dataset, name),
     do: Names.fetch(dataset.sessions, name, :no_session, "session", "the dataset")
 
-  @doc "Adds a session (a name with options of `Situ.Dataset.Session.new/2`, or a session). Error: `:duplicate_name`."
+  @doc "Adds a session: a struct, or a name with options of `Situ.Dataset.Session.new/2`. Error: `:duplicate_name`."
   @spec add_session(t(), String.t() | Session.t(), keyword()) :: result()
   def add_session(dataset, name, opts \\ [])
 
@@ -233,7 +235,7 @@ defmodule Situ.Dataset do
     end
   end
 
-  @doc "Adds the recording at `path` as a session of its own with one partition; both names default to the recording's."
+  @doc "Adds the recording at `path` as a new session with one partition; both names default to the recording's name."
   @spec add_recording(t(), Path.t(), keyword()) :: result()
   def add_recording(%__MODULE__{} = dataset, path, opts \\ []) do
     partition = Partition.new(opts[:partition], path, Keyword.take(opts, [:reader]))
@@ -241,14 +243,14 @@ defmodule Situ.Dataset do
     with {:ok, session} <- Session.add(session, partition), do: add_session(dataset, session)
   end
 
-  @doc "Takes a session out; its recordings stay where they are."
+  @doc "Removes a session from the dataset; its recordings are not deleted."
   @spec remove_session(t(), String.t()) :: result()
   def remove_session(%__MODULE__{} = dataset, name) do
     with {:ok, found} <- session(dataset, name),
          do: commit(%{dataset | sessions: List.delete(dataset.sessions, found)})
   end
 
-  @doc "Gives a session another name."
+  @doc "Renames a session."
   @spec rename_session(t(), String.t(), String.t()) :: result()
   def rename_session(%__MODULE__{} = dataset, from, to) do
     with {:ok, found} <- session(dataset, from),
@@ -259,7 +261,7 @@ defmodule Situ.Dataset do
   end
 
   @doc """
-  Changes one session by a function `session -> {:ok, session} | {:error, error}`: the way to every edit of
+  Changes one session with a function `session -> {:ok, session} | {:error, error}`, which can use every edit of
   `Situ.Dataset.Session`.
 
       Situ.Dataset.update_session(dataset, "p01", &Situ.Dataset.Session.remove(&1, "Room"))
@@ -277,12 +279,12 @@ defmodule Situ.Dataset do
     %{dataset | sessions: Enum.map(dataset.sessions, swap)}
   end
 
-  @doc "Adds the recording at `path` to a session. Options as `Situ.Dataset.Partition.new/3`. Error: `:duplicate_name`."
+  @doc "Adds the recording at `path` to a session (options: `Situ.Dataset.Partition.new/3`). Error: `:duplicate_name`."
   @spec add_partition(t(), String.t(), String.t() | nil, Path.t(), keyword()) :: result()
   def add_partition(%__MODULE__{} = dataset, session, name, path, opts \\ []),
     do: update_session(dataset, session, &Session.add(&1, Partition.new(name, path, opts)))
 
-  @doc "Adds all sessions of another dataset behind these, or none: `:duplicate_name` when one is here already."
+  @doc "Appends all sessions of another dataset; `:duplicate_name` if a name exists already, and nothing is added."
   @spec append(t(), t()) :: result()
   def append(%__MODULE__{} = dataset, %__MODULE__{sessions: sessions}) do
     added =
@@ -296,7 +298,7 @@ defmodule Situ.Dataset do
     with {:ok, dataset} <- added, do: commit(dataset)
   end
 
-  @doc "Changes `name`, `metadata` or `tags` of the dataset itself."
+  @doc "Changes `name`, `metadata` or `tags` of the dataset."
   @spec put(t(), keyword()) :: result()
   def put(%__MODULE__{} = dataset, changes) do
     changes =
@@ -309,22 +311,22 @@ defmodule Situ.Dataset do
     commit(struct!(dataset, changes))
   end
 
-  # Asking
+  # Queries
 
   @doc """
-  Spans, sizes and counts over all sessions: opens every recording, several at once. `Situ.Dataset.Summary.unknown`
-  counts those that cannot be read.
+  Returns time spans, sizes and counts over all sessions. Opens every recording, several concurrently. Recordings that
+  cannot be read are counted in the field `unknown` of the summary.
   """
   @spec summary(t()) :: Summary.t()
   def summary(%__MODULE__{} = dataset),
     do: dataset.sessions |> at_once(&Session.summary/1) |> Summary.sum()
 
-  @doc "Of every session: `[{session_name, summary}]`."
+  @doc "Returns the summary of every session as `[{session_name, summary}]`."
   @spec summaries(t()) :: [{String.t(), Summary.t()}]
   def summaries(%__MODULE__{} = dataset),
     do: at_once(dataset.sessions, &{&1.name, Session.summary(&1)})
 
-  @doc "Missing and damaged recordings: `[{session, partition, error}]`."
+  @doc "Lists missing and damaged recordings as `[{session, partition, error}]`."
   @spec troubles(t()) :: [{String.t(), String.t(), Error.t()}]
   def troubles(%__MODULE__{} = dataset) do
     dataset.sessions
@@ -339,8 +341,8 @@ defmodule Situ.Dataset do
   end
 
   @doc """
-  Notes the checksum of every recording (`Situ.Dataset.Checksum`; reads all bytes). Option `progress:`, `fun.(done,
-  total)`.
+  Stores the checksum of every recording in the dataset (`Situ.Dataset.Checksum`; reads all bytes). Option:
+  `progress:`, which is called as `fun.(done, total)`.
   """
   @spec seal(t(), keyword()) :: result()
   def seal(%__MODULE__{} = dataset, opts \\ []) do
@@ -352,7 +354,7 @@ defmodule Situ.Dataset do
   @spec partitions(t()) :: [Partition.t()]
   def partitions(%__MODULE__{sessions: sessions}), do: Enum.flat_map(sessions, & &1.partitions)
 
-  @doc "Puts the checksums of `Situ.Dataset.Checksum.all/2` into the partitions, by their paths."
+  @doc "Stores the checksums that `Situ.Dataset.Checksum.all/2` returned in the partitions with the same paths."
   @spec put_checksums(t(), %{Path.t() => String.t()}) :: result()
   def put_checksums(%__MODULE__{} = dataset, checksums) do
     sessions =
@@ -366,7 +368,7 @@ defmodule Situ.Dataset do
     commit(%{dataset | sessions: sessions})
   end
 
-  @doc "Sessions that have all `tags:` and whose name fits the pattern `name:` (`*` and `?`)."
+  @doc "Returns the sessions that have all `tags:` and whose name matches the pattern `name:` (`*` and `?`)."
   @spec select(t(), keyword()) :: [Session.t()]
   def select(%__MODULE__{} = dataset, opts) do
     tags = opts[:tags] || []
@@ -385,9 +387,9 @@ defmodule Situ.Dataset do
 
       Situ.Dataset.Derivation.Report.failures(report)
 
-  Answers with the dataset as it is then, also when sessions failed or the run was cancelled; a dataset that has a file
-  is saved after every session. How to write the pipeline, and what happens to a run that is killed:
-  `Situ.Dataset.Derivation`. Errors before anything runs: `:partition_exists`, `:no_session`.
+  Returns the updated dataset, also if sessions failed or the run was cancelled. A dataset with a file is saved after
+  every session. `Situ.Dataset.Derivation` describes how to write the pipeline and how a killed run is resumed. Errors
+  before the run starts: `:partition_exists`, `:no_session`.
 
   #{Options.docs(Derivation.options())}
   """

@@ -1,7 +1,7 @@
 defmodule Situ.Expression do
   @moduledoc """
-  A small safe language for values out of messages: derived streams and queries. The whole of it is on one page,
-  `docs/guides/expressions.md`.
+  A small, safe language for values from messages, used by derived streams and queries. `docs/guides/expressions.md`
+  describes the complete language.
 
       iex> {:ok, e} = Situ.Expression.parse("m.x * 2 + 1 > 10 and m.name != 'idle'")
       iex> Situ.Expression.eval(e, %{"m" => %{"x" => 5, "name" => "walk"}})
@@ -11,10 +11,10 @@ defmodule Situ.Expression do
       nil
       iex> {:error, error} = Situ.Expression.parse("m.x >")
       iex> error.why
-      "at character 6: a value belongs here, and the text ends"
+      "at character 6: expected a value, found the end of the expression"
 
-  It has no loops, no assignments and no way out: an expression of `n` nodes (1,000 at most) is evaluated in `n`
-  steps, each bounded by the values it is given, and cannot fail. A part without a value is `nil` (`null`).
+  It has no loops, assignments or side effects. An expression of `n` nodes (at most 1,000) is evaluated in `n`
+  steps, each bounded by the size of its operands, and cannot fail. A part without a value is `nil` (`null`).
   """
   alias Situ.Error
   alias Situ.Expression.{Functions, Parser, Value}
@@ -24,10 +24,10 @@ defmodule Situ.Expression do
 
   @typedoc "`run` is the compiled form, a function of the environment."
   @type t :: %__MODULE__{source: String.t(), tree: tuple(), run: (env() -> term())}
-  @typedoc "The values of names."
+  @typedoc "The values of the names."
   @type env :: %{String.t() => term()}
 
-  @doc "Reads an expression. Error: `:bad_expression`, which says where."
+  @doc "Parses an expression. Error: `:bad_expression`, which names the position."
   @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
   def parse(source) when is_binary(source) do
     case Parser.parse(source) do
@@ -36,14 +36,14 @@ defmodule Situ.Expression do
 
       {:error, at, why} ->
         {:error,
-         Error.new(:bad_expression, "#{inspect(source)} is no expression",
+         Error.new(:bad_expression, "invalid expression #{inspect(source)}",
            why: "at character #{at}: #{why}",
            fix: "see docs/guides/expressions.md"
          )}
     end
   end
 
-  @doc "As `parse/1`, but raises the error."
+  @doc "Parses an expression, or raises the error."
   @spec parse!(String.t()) :: t()
   def parse!(source) do
     case parse(source) do
@@ -52,12 +52,12 @@ defmodule Situ.Expression do
     end
   end
 
-  @doc "The value, where names mean what `env` says (`nil` where it says nothing)."
+  @doc "Evaluates an expression with the values in `env`; names that are missing there are `nil`."
   @spec eval(t(), env()) :: term()
   def eval(%__MODULE__{run: run}, env), do: run.(env)
 
   @doc """
-  The names that an expression uses, as they are spelt, without those of functions.
+  Returns the names that an expression uses, as they are spelled, without function names.
 
       iex> Situ.Expression.names(Situ.Expression.parse!("`Room.Level` > 3 and vad or latency(vad) > 500ms"))
       ["Room.Level", "vad"]
@@ -74,9 +74,9 @@ defmodule Situ.Expression do
   defp collect({_, _, left, right}, names), do: collect(right, collect(left, names))
 
   @doc """
-  A stream of what an expression gives for each message of another: `m` (or `value`) is the data, `time` and
-  `created` the times (ns), `latency` their difference, `sequence` the number. Times of the messages stay. Option
-  `type:` of the output (`:any`).
+  Evaluates an expression for each message of a stream. In it, `m` (or `value`) is the data, `time` and `created`
+  are the times (ns), `latency` is their difference, and `sequence` is the sequence number. The messages keep their
+  times. Option: `type:` of the output (`:any`).
 
       iex> double = fn p -> p |> Situ.from_enumerable([{1, 2}, {2, 5}]) |> Situ.Expression.map("m * 2") end
       iex> Situ.to_list(double, pipeline: [replay: [interval: {0, :unbounded}, speed: :max]])
@@ -93,7 +93,7 @@ defmodule Situ.Expression do
     )
   end
 
-  @doc "The names of a message."
+  @doc "Returns the names that an expression can use for a message."
   @spec of_message(Situ.Message.t()) :: env()
   def of_message(message) do
     %{
@@ -106,7 +106,7 @@ defmodule Situ.Expression do
     }
   end
 
-  # The tree as a function: no look at it again for each message.
+  # Compiles the tree to a function, so that it is not traversed again for each message.
   defp compile({:literal, value}), do: fn _ -> value end
   defp compile({:name, name}), do: fn env -> Map.get(env, name) end
 
@@ -130,7 +130,7 @@ defmodule Situ.Expression do
     fn env -> Value.unary(operator, of.(env)) end
   end
 
-  # The right side is looked at only where it counts.
+  # The right operand is evaluated only if it matters.
   defp compile({:binary, "and", left, right}) do
     {left, right} = {compile(left), compile(right)}
     fn env -> left.(env) == true and right.(env) == true end
@@ -146,7 +146,7 @@ defmodule Situ.Expression do
     fn env -> Value.binary(operator, left.(env), right.(env)) end
   end
 
-  # Of a stream's name in a query, not of its value.
+  # In a query, the argument is the name of a stream and not its value.
   defp compile({:call, name, [{:name, stream}]}) when name in ["latency", "age"] do
     key = "#{name}(#{stream})"
     fn env -> Map.get(env, key) end

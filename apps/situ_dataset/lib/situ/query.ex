@@ -1,35 +1,37 @@
 defmodule Situ.Query do
   @options [
-    from: [type: :integer, doc: "The first originating time looked at."],
-    to: [type: :integer, doc: "The last one."],
-    least: [type: :non_neg_integer, default: 0, doc: "Shorter intervals (ns) are left out."],
+    from: [type: :integer, doc: "The first originating time (ns) of the span."],
+    to: [type: :integer, doc: "The last originating time (ns) of the span."],
+    least: [type: :non_neg_integer, default: 0, doc: "Shorter intervals (ns) are discarded."],
     join: [
       type: :non_neg_integer,
       default: 0,
-      doc: "Intervals no further apart than this (ns) become one."
+      doc: "Intervals with a gap of at most this (ns) are joined."
     ],
     hold: [
       type: :pos_integer,
-      doc: "For so long (ns) a stream has the value of its last message; default: until the next."
+      doc:
+        "Time (ns) for which a stream keeps the value of its last message. Default: until the next message."
     ],
-    limit: [type: :pos_integer, default: 100_000, doc: "So many intervals at most."],
-    timeout: [type: :pos_integer, default: 60_000, doc: "Milliseconds."]
+    limit: [type: :pos_integer, default: 100_000, doc: "Maximum number of intervals."],
+    timeout: [type: :pos_integer, default: 60_000, doc: "Time limit in milliseconds."]
   ]
 
   @moduledoc """
-  When does it hold? The intervals in which an expression (`Situ.Expression`) over the streams of a session is true.
+  Finds the intervals in which an expression (`Situ.Expression`) over the streams of a session is true.
 
       {:ok, found} = Situ.Query.run(open_session, "vad and latency(vad) > 500ms", least: Situ.Time.ms(200))
       found.intervals
       #=> [{1700000012000000000, 1700000013500000000}, ...]
 
-  Names are streams, bare (`vad`), in backticks (`` `Lobby.Speaking` ``) or with the partition (`` `[Room]:Level`
-  ``). At any time a stream has the value of its latest message, and none before its first; `latency(S)` is that
-  message's latency and `age(S)` the time since it, ns. The value of an annotation stream is a map of the tracks on
-  which there is an annotation at that time, to its values: `Speech.P1.Speaker == 'A'`, `'P1' in Speech`.
+  Names are streams: plain (`vad`), in backticks (`` `Lobby.Speaking` ``) or with the partition (`` `[Room]:Level`
+  ``). A stream has the value of its latest message, and no value before its first message. `latency(S)` is that
+  message's latency and `age(S)` is the time since that message (ns). The value of an annotation stream is a map
+  from the tracks that have an annotation at that time to its values: `Speech.P1.Speaker == 'A'`, `'P1' in Speech`.
 
-  The answer is looked for at every message of the streams named, so it is exact to their times. An interval that
-  holds to the end ends with the last message. Memory does not grow with the recording, and the time is limited.
+  The expression is evaluated at every message of the named streams, so the result is exact to their times. An
+  interval that is still true at the end ends with the last message. Memory does not grow with the recording, and
+  the time is limited.
 
   ## Options
 
@@ -44,8 +46,8 @@ defmodule Situ.Query do
   @type found :: %{intervals: [{Situ.Time.t(), Situ.Time.t()}], truncated?: boolean()}
 
   @doc """
-  The intervals in which `expression` is true. Errors: `:bad_expression`, `:no_stream`, `:ambiguous_stream`,
-  `:timeout`, `:constant` (it names no stream).
+  Returns the intervals in which `expression` is true. Errors: `:bad_expression`, `:no_stream`, `:ambiguous_stream`,
+  `:timeout`, `:constant` (it does not contain a stream).
   """
   @spec run(OpenSession.t(), String.t() | Expression.t(), keyword()) ::
           {:ok, found()} | {:error, Error.t()}
@@ -62,7 +64,7 @@ defmodule Situ.Query do
     :late ->
       {:error,
        Error.new(:timeout, "the query took longer than #{opts[:timeout] || 60_000} ms",
-         fix: "look at a shorter span (from:, to:), or allow more (timeout:)"
+         fix: "query a shorter span (from:, to:), or allow more time (timeout:)"
        )}
   end
 
@@ -71,8 +73,8 @@ defmodule Situ.Query do
 
   defp streams(_session, [], _opts) do
     {:error,
-     Error.new(:constant, "the expression names no stream",
-       fix: "name one, such as `Room.Level` (in backticks where the name has points)"
+     Error.new(:constant, "the expression does not contain a stream",
+       fix: "use one, such as `Room.Level` (with backticks if the name contains dots)"
      )}
   end
 
@@ -88,12 +90,12 @@ defmodule Situ.Query do
     end)
   end
 
-  # `{time, value, latency}`: messages, or the begins and ends of annotations.
+  # `{time, value, latency}` of messages, or of the starts and ends of annotations.
   defp events(store, info, opts) do
     if Recording.annotations?(store, info) do
       with {:ok, annotations} <- Recording.annotations(store, info), do: {:ok, edges(annotations)}
     else
-      # The message in force at the beginning of the span lies before it.
+      # The message that is current at the beginning of the span may be before it.
       reading = Keyword.take(opts, [:to])
 
       before =
@@ -119,7 +121,7 @@ defmodule Situ.Query do
     begins = for a <- annotations, do: {a.from, 1, a}
     ends = for a <- annotations, do: {a.to, 0, a}
 
-    # At one time the ends come first; a point holds for no time at all.
+    # At the same time, ends come before starts; a point has no duration and is skipped.
     (begins ++ ends)
     |> Enum.filter(fn {_, _, a} -> a.from < a.to end)
     |> Enum.sort_by(fn {time, kind, a} -> {time, kind, a.track} end)
@@ -130,7 +132,7 @@ defmodule Situ.Query do
     |> elem(0)
   end
 
-  # Looks at the expression once all that happens at one time has happened.
+  # Evaluates the expression after all changes at one time were applied.
   defp search(streams, expression, opts, deadline) do
     state = %{env: %{}, since: %{}, open: nil, found: [], count: 0, last: nil, opts: opts, n: 0}
 
@@ -176,7 +178,7 @@ defmodule Situ.Query do
     end
   end
 
-  # The message in force when the span begins counts from the beginning on.
+  # Messages before the span count from its beginning, so only its end is checked here.
   defp inside?(time, opts), do: opts[:to] == nil or time <= opts[:to]
 
   defp add(state, {from, to}) do
@@ -195,7 +197,7 @@ defmodule Situ.Query do
 
   defp long(intervals, least), do: Enum.filter(intervals, fn {from, to} -> to - from >= least end)
 
-  @doc "The intervals as annotations of one track: proposals, for `Situ.Annotation.Edit.propose/2`."
+  @doc "Converts the intervals to annotations of one track: proposals, for `Situ.Annotation.Edit.propose/2`."
   @spec annotations(found(), String.t(), map(), keyword()) :: [Annotation.t()]
   def annotations(%{intervals: intervals}, track, values \\ %{}, more \\ []) do
     for {from, to} <- intervals,

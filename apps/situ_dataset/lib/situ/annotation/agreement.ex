@@ -1,37 +1,40 @@
 defmodule Situ.Annotation.Agreement do
   @options [
-    attribute: [type: :string, doc: "The attribute compared; default: the schema's first."],
+    attribute: [type: :string, doc: "The attribute to compare. Default: the first of the schema."],
     frame: [
       type: :pos_integer,
       default: 10_000_000,
-      doc: "Ns between the instants at which labels are compared."
+      doc: "Time (ns) between the instants at which labels are compared."
     ],
     from: [
       type: :integer,
-      doc: "Begin of the span; default: that of the first annotation of either."
+      doc: "Start of the span. Default: the start of the first annotation of both layers."
     ],
     to: [
       type: :integer,
-      doc: "Its end (not included); default: the end of the last annotation of either."
+      doc: "End of the span (excluded). Default: the end of the last annotation of both layers."
     ],
-    tracks: [type: {:list, :string}, doc: "Only these; default: the tracks of either."]
+    tracks: [
+      type: {:list, :string},
+      doc: "The tracks to compare. Default: all tracks of both layers."
+    ]
   ]
 
   @moduledoc """
-  How far two annotators agree: Cohen's kappa over frames, and how far their boundaries lie apart.
+  Measures how well two annotators agree: Cohen's kappa over frames, and the distance between their boundaries.
 
-  Every track is cut into frames; at the middle of each frame an annotator's label is the value of the annotation
-  there, or none, which counts as a label of its own. With `p_o` the share of frames with equal labels and `p_e` the
-  share expected by chance from how often each uses each label,
+  Every track is divided into frames. An annotator's label of a frame is the value of the annotation at the middle of
+  the frame; a frame without an annotation counts as a separate label. With `p_o` the share of frames with equal
+  labels and `p_e` the share expected by chance from how often each annotator uses each label,
 
       kappa = (p_o - p_e) / (1 - p_e)
 
   (J. Cohen, *A coefficient of agreement for nominal scales*, Educational and Psychological Measurement 20, 1960). 1
-  is full agreement, 0 is chance; where both use one and the same label throughout, kappa has no value (`nil`), as
-  chance explains all.
+  is full agreement and 0 is chance. Kappa is undefined (`nil`) if both annotators use the same single label
+  throughout, because chance explains all the agreement.
 
-  Annotations of the two are paired where they overlap most on a track; their begins and ends give the boundary
-  errors.
+  Annotations are paired by their largest overlap on a track; the differences of their start and end times are the
+  boundary errors.
 
       iex> alias Situ.Annotation.{Agreement, Layer, Schema}
       iex> schema = Schema.finite("S", ["speaks"])
@@ -67,9 +70,8 @@ defmodule Situ.Annotation.Agreement do
   @type label :: term() | nil
 
   @doc """
-  Compares two layers. `confusion` counts frames by `{label_of_first, label_of_second}`, `begin_error` and
-  `end_error` are means of absolute differences in ns over the paired annotations, `tracks` has the kappa of each
-  track.
+  Compares two layers. `confusion` counts frames by `{label_of_first, label_of_second}`. `begin_error` and `end_error`
+  are mean absolute differences in ns over the paired annotations. `tracks` maps each track to its kappa.
 
   Errors: `:unknown_attribute`; `:too_many_frames`.
   """
@@ -114,7 +116,7 @@ defmodule Situ.Annotation.Agreement do
          Error.new(
            :unknown_attribute,
            "schema #{inspect(layer.schema.name)} has no attribute #{inspect(name)}",
-           fix: "it has #{Enum.map_join(layer.schema.attributes, ", ", &inspect(&1.name))}"
+           fix: "use one of #{Enum.map_join(layer.schema.attributes, ", ", &inspect(&1.name))}"
          )}
     end
   end
@@ -133,15 +135,15 @@ defmodule Situ.Annotation.Agreement do
       :ok
     else
       {:error,
-       Error.new(:too_many_frames, "that would be #{n} frames",
-         why: "at most #{@most_frames} are compared",
-         fix: "give a longer frame: or a shorter span"
+       Error.new(:too_many_frames, "the comparison would need #{n} frames",
+         why: "at most #{@most_frames} frames are compared",
+         fix: "set a longer frame: or a shorter span with from: and to:"
        )}
     end
   end
 
-  # Between changes of either label all frames are alike: the work goes with the annotations, not with the frames. A
-  # frame belongs to the run in which its middle lies.
+  # The labels are constant between changes of either layer, so the cost depends on the number of annotations and not
+  # on the number of frames. A frame belongs to the run that contains its middle.
   defp confusion(a, b, track, attribute, {from, to}, frame) do
     one = pieces(Layer.on_track(a, track), attribute, from, to)
     two = pieces(Layer.on_track(b, track), attribute, from, to)
@@ -155,7 +157,7 @@ defmodule Situ.Annotation.Agreement do
     counts
   end
 
-  # `{end, label}` one behind the other from `from` to `to`; nil where there is no annotation.
+  # Consecutive `{end, label}` tuples from `from` to `to`; the label is nil where there is no annotation.
   defp pieces(annotations, attribute, from, to) do
     {pieces, at} =
       annotations
@@ -183,7 +185,7 @@ defmodule Situ.Annotation.Agreement do
   defp label(nil), do: nil
   defp label({:label, value}), do: value
 
-  # Frame k has its middle at from + k * frame + frame / 2; only whole frames count.
+  # The middle of frame k is at from + k * frame + frame / 2; only complete frames count.
   defp middles_before(time, from, to, frame) do
     whole = div(to - from, frame)
     n = div(2 * (time - from) + frame - 1, 2 * frame)
@@ -191,7 +193,7 @@ defmodule Situ.Annotation.Agreement do
   end
 
   @doc """
-  Share of agreement and kappa of a table `%{{first, second} => count}`; `nil` where they have no value.
+  Returns the share of agreement and the kappa of a table `%{{first, second} => count}`; `nil` if undefined.
 
       iex> {0.7, kappa} = Situ.Annotation.Agreement.kappa(%{{1, 1} => 20, {1, 0} => 5, {0, 1} => 10, {0, 0} => 15})
       iex> Float.round(kappa, 6)
@@ -212,7 +214,7 @@ defmodule Situ.Annotation.Agreement do
           first |> Enum.map(fn {l, count} -> count * Map.get(second, l, 0) end) |> Enum.sum()
 
         observed = same / n
-        # Whole numbers decide whether chance explains all.
+        # Integer arithmetic decides exactly whether chance explains all the agreement.
         {observed,
          if(chance == n * n, do: nil, else: (observed - chance / (n * n)) / (1 - chance / (n * n)))}
     end
@@ -240,7 +242,7 @@ defmodule Situ.Annotation.Agreement do
     }
   end
 
-  # The widest overlaps first; each annotation is in one pair at most.
+  # Pairs the widest overlaps first, so that each annotation is in at most one pair.
   defp pairs(left, right) do
     candidates =
       for x <- left,

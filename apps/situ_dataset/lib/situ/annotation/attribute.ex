@@ -1,10 +1,10 @@
 defmodule Situ.Annotation.Attribute do
   @moduledoc """
-  One attribute of a `Situ.Annotation.Schema`: its name, kind, default, and for a finite one its values with colours
-  and keys.
+  One attribute of a `Situ.Annotation.Schema`: its name, kind and default. A finite attribute also has a list of
+  values with colours and keys.
 
-  `fill` and `text` are the colours of an attribute without values of its own; a value's `key` sets it from the
-  keyboard.
+  `fill` and `text` are the colours of an attribute without a list of values. Pressing a value's `key` on the keyboard
+  sets that value.
   """
   @kinds %{"finite" => :finite, "text" => :text, "number" => :number, "bool" => :bool}
 
@@ -48,9 +48,9 @@ defmodule Situ.Annotation.Attribute do
   end
 
   def parse(%{"name" => name}),
-    do: {:error, "the kind of attribute #{inspect(name)} is none of finite, text, number, bool"}
+    do: {:error, "the kind of attribute #{inspect(name)} is not finite, text, number or bool"}
 
-  def parse(_), do: {:error, "an attribute is an object with a \"name\" and a \"kind\""}
+  def parse(_), do: {:error, "an attribute must be an object with a \"name\" and a \"kind\""}
 
   defp values(:finite, [_ | _] = values, name) do
     values
@@ -69,7 +69,7 @@ defmodule Situ.Annotation.Attribute do
   defp values(_kind, none, _name) when none in [nil, []], do: {:ok, []}
 
   defp values(_, _, name),
-    do: {:error, "attribute #{inspect(name)} is not finite and has no list of values"}
+    do: {:error, "attribute #{inspect(name)} is not finite and cannot have a list of values"}
 
   defp unique({:ok, choices}, name) do
     choices = Enum.reverse(choices)
@@ -77,7 +77,7 @@ defmodule Situ.Annotation.Attribute do
 
     if Enum.uniq(values) == values,
       do: {:ok, choices},
-      else: {:error, "attribute #{inspect(name)} has a value twice"}
+      else: {:error, "attribute #{inspect(name)} lists a value twice"}
   end
 
   defp unique(error, _name), do: error
@@ -90,20 +90,20 @@ defmodule Situ.Annotation.Attribute do
     end
   end
 
-  defp choice(_), do: {:error, "a value is an object with a text \"value\""}
+  defp choice(_), do: {:error, "a value must be an object with a string \"value\""}
 
   defp key(nil), do: {:ok, nil}
 
   defp key(key) do
     if is_binary(key) and String.length(key) == 1 and String.printable?(key) and key != " ",
       do: {:ok, key},
-      else: {:error, "a key is one printable character, not #{inspect(key)}"}
+      else: {:error, "a key must be one printable character, not #{inspect(key)}"}
   end
 
   defp colours(json) do
     case Enum.find([json["fill"], json["text"]], &(&1 != nil and not colour?(&1))) do
       nil -> {:ok, json["fill"], json["text"]}
-      bad -> {:error, "a colour is \#rrggbb, not #{inspect(bad)}"}
+      bad -> {:error, "a colour must be \#rrggbb, not #{inspect(bad)}"}
     end
   end
 
@@ -117,7 +117,7 @@ defmodule Situ.Annotation.Attribute do
   defp default(attribute, value) do
     case check(attribute, value) do
       :ok -> {:ok, value}
-      {:error, why} -> {:error, "the default of #{inspect(attribute.name)}: #{why}"}
+      {:error, why} -> {:error, "invalid default of #{inspect(attribute.name)}: #{why}"}
     end
   end
 
@@ -140,30 +140,30 @@ defmodule Situ.Annotation.Attribute do
 
   defp plain(map), do: map |> Enum.reject(fn {_, value} -> value == nil end) |> Map.new()
 
-  @doc "Whether a value fits: `:ok`, or why not."
+  @doc "Returns `:ok` if the attribute allows the value, or `{:error, why}`."
   @spec check(t(), term()) :: :ok | {:error, String.t()}
   def check(%__MODULE__{kind: :finite, values: choices}, value) do
     if Enum.any?(choices, &(&1.value == value)),
       do: :ok,
       else:
         {:error,
-         "#{inspect(value)} is none of #{Enum.map_join(choices, ", ", &inspect(&1.value))}"}
+         "#{inspect(value)} is not one of #{Enum.map_join(choices, ", ", &inspect(&1.value))}"}
   end
 
   def check(%__MODULE__{kind: :text}, value) do
     if is_binary(value) and String.valid?(value),
       do: :ok,
-      else: {:error, "#{inspect(value)} is no text"}
+      else: {:error, "#{inspect(value)} is not a string"}
   end
 
   def check(%__MODULE__{kind: :number}, value),
-    do: if(is_number(value), do: :ok, else: {:error, "#{inspect(value)} is no number"})
+    do: if(is_number(value), do: :ok, else: {:error, "#{inspect(value)} is not a number"})
 
   def check(%__MODULE__{kind: :bool}, value),
     do:
       if(is_boolean(value), do: :ok, else: {:error, "#{inspect(value)} is neither true nor false"})
 
-  @doc "A value out of text: a number or a boolean where the attribute is such and the text can be read as one."
+  @doc "Parses text to a number or boolean if the attribute has that kind; returns other text unchanged."
   @spec read(t(), String.t()) :: term()
   def read(%__MODULE__{kind: :number}, text) do
     case {Integer.parse(text), Float.parse(text)} do

@@ -1,7 +1,7 @@
 defmodule Situ.Annotation.Edit do
   @moduledoc """
-  Edits of a `Situ.Annotation.Layer` that change several annotations at once: edges that move together, whole
-  tracks, cuts, proposals. Each answers `{:ok, layer, transaction}` and is undone as one.
+  Edits that change several annotations of a `Situ.Annotation.Layer` together: shared edges, complete tracks, splits
+  and proposals. Each returns `{:ok, layer, transaction}` and can be undone in one step.
 
       iex> alias Situ.Annotation.{Edit, Layer, Schema}
       iex> {:ok, layer} = Layer.new(Schema.text("Words"),
@@ -18,10 +18,11 @@ defmodule Situ.Annotation.Edit do
   alias Situ.Error
 
   @doc """
-  Moves one end (`:from` or `:to`) of an annotation to `time`. A neighbour that touches there moves along, unless
-  `alone: true`; otherwise the edge stops at the neighbour. It stops at its other end too.
+  Moves one end (`:from` or `:to`) of an annotation to `time`. A neighbour that touches this end moves along, unless
+  `alone: true` is given; otherwise the edge stops at the neighbour. The edge also stops at the annotation's other
+  end.
 
-  The time it has moved to is that of the annotation in the answer.
+  The annotation in the returned layer shows the time that the edge was moved to.
   """
   @spec move_edge(Layer.t(), Layer.id(), :from | :to, Situ.Time.t(), keyword()) :: Layer.edited()
   def move_edge(%Layer{} = layer, id, edge, time, opts \\ []) when edge in [:from, :to] do
@@ -59,7 +60,7 @@ defmodule Situ.Annotation.Edit do
     |> Enum.find(&(&1.id != annotation.id and &1.from >= annotation.to))
   end
 
-  # Of two that move together neither becomes a point: they would end together.
+  # When two annotations move together, neither may become a point, because both would then end together.
   defp clamp(_layer, annotation, :from, time, %{from: least}),
     do: time |> min(annotation.to - 1) |> max(least + 1)
 
@@ -76,12 +77,12 @@ defmodule Situ.Annotation.Edit do
     time |> max(annotation.from) |> then(&if(beside, do: min(&1, beside.from), else: &1))
   end
 
-  @doc "Gives an annotation another interval. Error: `:overlap`."
+  @doc "Sets the interval of an annotation. Error: `:overlap`."
   @spec set_interval(Layer.t(), Layer.id(), {Situ.Time.t(), Situ.Time.t()}) :: Layer.edited()
   def set_interval(%Layer{} = layer, id, {from, to}),
     do: Layer.change(layer, id, from: from, to: to)
 
-  @doc "Cuts an annotation in two at `time`; both keep its values. Error: `:outside`."
+  @doc "Splits an annotation in two at `time`; both parts keep its values. Error: `:outside`."
   @spec split(Layer.t(), Layer.id(), Situ.Time.t()) :: Layer.edited()
   def split(%Layer{} = layer, id, time) do
     with {:ok, whole} <- Layer.fetch(layer, id) do
@@ -90,15 +91,16 @@ defmodule Situ.Annotation.Edit do
         Layer.commit(layer, [{id, whole, %{whole | to: time}}, {second.id, nil, second}])
       else
         {:error,
-         Error.new(:outside, "an annotation is cut inside, not at its ends",
-           why: "it lasts from #{whole.from} to #{whole.to}, and #{time} is not between",
-           fix: "move the cursor into it"
+         Error.new(:outside, "cannot split an annotation outside its interval",
+           why:
+             "it lasts from #{whole.from} to #{whole.to}, and #{time} is not between these times",
+           fix: "move the cursor into the annotation"
          )}
       end
     end
   end
 
-  @doc "Makes one annotation of two neighbours of a track; it has the values of the first. Error: `:no_neighbours`."
+  @doc "Merges two annotations of a track into one with the values of the first. Error: `:no_neighbours`."
   @spec merge(Layer.t(), Layer.id(), Layer.id()) :: Layer.edited()
   def merge(%Layer{} = layer, id, other) do
     with {:ok, a} <- Layer.fetch(layer, id), {:ok, b} <- Layer.fetch(layer, other) do
@@ -107,15 +109,15 @@ defmodule Situ.Annotation.Edit do
         Layer.commit(layer, [{other, b, nil}, {id, a, whole}])
       else
         {:error,
-         Error.new(:no_neighbours, "only annotations of the same track can be joined",
+         Error.new(:no_neighbours, "cannot merge annotations of different tracks",
            why: "these are on #{inspect(a.track)} and #{inspect(b.track)}",
-           fix: "move one to the other's track"
+           fix: "move either annotation to the other's track"
          )}
       end
     end
   end
 
-  @doc "Gives a track another name. Error: `:overlap` when a track of that name has annotations in the way."
+  @doc "Renames a track. Error: `:overlap` if a track of that name has annotations that overlap."
   @spec rename_track(Layer.t(), String.t(), String.t()) :: Layer.edited()
   def rename_track(%Layer{} = layer, from, to) do
     Layer.commit(layer, for(a <- Layer.on_track(layer, from), do: {a.id, a, %{a | track: to}}))
@@ -127,8 +129,7 @@ defmodule Situ.Annotation.Edit do
     do: Layer.remove(layer, Enum.map(Layer.on_track(layer, track), & &1.id))
 
   @doc """
-  Copies the intervals of other annotations to a track that is empty; the values are the defaults. Error:
-  `:not_empty`.
+  Copies the intervals of other annotations to an empty track, with default values. Error: `:not_empty`.
   """
   @spec copy_boundaries(Layer.t(), [Annotation.t()], String.t()) :: Layer.edited()
   def copy_boundaries(%Layer{} = layer, annotations, track) do
@@ -146,13 +147,13 @@ defmodule Situ.Annotation.Edit do
 
       some ->
         {:error,
-         Error.new(:not_empty, "track #{inspect(track)} has #{length(some)} annotations already",
+         Error.new(:not_empty, "track #{inspect(track)} already has #{length(some)} annotations",
            fix: "copy to a new track, or delete them first"
          )}
     end
   end
 
-  @doc "Accepts every proposal whose confidence is at least `least`; proposals without a confidence count as 1.0."
+  @doc "Accepts every proposal whose confidence is at least `least`; a missing confidence counts as 1.0."
   @spec accept_all(Layer.t(), float(), String.t() | nil) :: Layer.edited()
   def accept_all(%Layer{} = layer, least \\ 0.0, by \\ nil) do
     accepted =
@@ -163,7 +164,7 @@ defmodule Situ.Annotation.Edit do
     Layer.commit(layer, accepted)
   end
 
-  @doc "Deletes every proposal whose confidence is below `most`."
+  @doc "Deletes every proposal whose confidence is below `most`; a missing confidence counts as 1.0."
   @spec reject_all(Layer.t(), float()) :: Layer.edited()
   def reject_all(%Layer{} = layer, most) do
     ids =
@@ -172,7 +173,7 @@ defmodule Situ.Annotation.Edit do
     Layer.remove(layer, ids)
   end
 
-  @doc "Adds annotations as proposals; those that overlap with what is there are left out. The rest in one transaction."
+  @doc "Adds annotations as proposals in one transaction; annotations that overlap with existing ones are skipped."
   @spec propose(Layer.t(), [Annotation.t()]) :: Layer.edited()
   def propose(%Layer{} = layer, annotations) do
     {full, changes} =

@@ -1,6 +1,6 @@
 defmodule Situ.Annotation.Editor do
   @moduledoc """
-  One annotation stream being edited: undo and redo, several users, and a journal that a crash does not take along.
+  Edits one annotation stream: undo and redo, several users, and a journal that survives a crash.
 
       iex> path = Path.join(System.tmp_dir!(), "situ-doc-editor/annotation")
       iex> alias Situ.Annotation.{Editor, Layer, Schema}
@@ -17,24 +17,26 @@ defmodule Situ.Annotation.Editor do
       iex> File.rm_rf!(Path.dirname(path)) != []
       true
 
-  Options of `start_link/1`: `path:` (the annotation store, `ROOT/NAME`; its newest version is opened), `stream:`,
-  `schema:` (for a stream that is not there yet), and those of a GenServer (`name:`).
+  Options of `start_link/1`: `path:` (the annotation store, `ROOT/NAME`; the editor opens its newest version),
+  `stream:`, `schema:` (for a stream that does not exist yet), and GenServer options such as `name:`.
 
-  Every transaction is appended to `ROOT/NAME.STREAM.journal` and on the disk before `edit/2` answers. `save/1`
-  writes a new version of the store (`Situ.Annotation.Recording`) and removes the journal; an editor started after a
-  crash finds the journal and carries on (`recovered` in `status/1` counts the transactions). Subscribers get
-  `{:situ_annotation, pid, transaction}` after every edit, undo and redo, and `{:situ_annotation, pid, :saved}`.
+  Every transaction is appended to `ROOT/NAME.STREAM.journal` and is on disk before `edit/2` returns. `save/1`
+  writes a new version of the store (`Situ.Annotation.Recording`) and removes the journal. An editor that starts
+  after a crash replays the journal; `recovered` in `status/1` is the number of replayed transactions. Subscribers
+  receive `{:situ_annotation, pid, transaction}` after every edit, undo and redo, and `{:situ_annotation, pid,
+  :saved}`.
 
-  One editor at a time has unsaved edits of a stream, on all computers that share the folder: from its first edit to
-  its next save it holds a lock (`ROOT/NAME.STREAM.journal.lock`). Others see what was saved last; their edits are
-  refused (`:being_edited`) with the name of the program, its process and computer, and since when. The operating
-  system releases the lock of a program that dies, so its journal is found as before.
+  Only one editor at a time can have unsaved edits of a stream, across all computers that share the folder. From its
+  first edit until its next save it holds a lock (`ROOT/NAME.STREAM.journal.lock`). Other editors see the last saved
+  version; their edits fail with `:being_edited`, which reports the lock holder's program, process and computer, and
+  the time since when it holds the lock. The operating system releases the lock of a program that dies, so that
+  another editor can recover its journal.
 
-  Several editors of one store, each of another stream, save independently: a new version has what the others saved
-  last, also those of other operating-system processes. When another program has saved this very stream, its
-  annotations and schema are taken at the next edit (or `refresh/1`), and edits that were not saved are made on them
-  again. Where they do not fit, they stay as they are: the next save makes them the newest version, and `shadowed` in
-  `status/1` names the other program's, which stays beside it.
+  Editors of different streams in one store save independently: a new version includes the latest saved version of
+  every other stream, even if another operating-system process saved it. If another program has saved the same
+  stream, the next edit (or `refresh/1`) loads its annotations and schema and reapplies the unsaved edits. If the
+  edits do not fit, they stay unchanged: the next save makes them the newest version, and `shadowed` in `status/1`
+  names the other program's version, which is kept.
   """
   use GenServer
   alias Situ.Annotation.{EditorState, Journal, Layer, Schema, Versions}
@@ -43,7 +45,7 @@ defmodule Situ.Annotation.Editor do
 
   @type server :: GenServer.server()
 
-  @doc "Starts it. Errors: those of the store, `:no_schema`, `:bad_journal`."
+  @doc "Starts an editor. Errors: `:no_schema`, `:bad_journal` and the errors of the store."
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def start_link(opts) do
     {given, opts} = Keyword.split(opts, [:path, :stream, :schema])
@@ -51,60 +53,62 @@ defmodule Situ.Annotation.Editor do
 
     with {:ok, state} <- EditorState.open(path, stream, given[:schema]) do
       started = GenServer.start_link(__MODULE__, state, opts)
-      # The name may be taken.
+      # Starting fails if the name is taken.
       if state.lock && not match?({:ok, _}, started), do: FileLock.release(state.lock)
       started
     end
   end
 
-  @doc "The annotations as they are now."
+  @doc "Returns the current annotations."
   @spec layer(server()) :: Layer.t()
   def layer(server), do: GenServer.call(server, :layer)
 
   @doc """
-  `undo`, `redo`: how many steps each way; `unsaved?`; `recovered`: transactions found in the journal at the start.
+  Returns `undo` and `redo` (the number of steps in each direction), `unsaved?`, `recovered` (the number of
+  transactions recovered from the journal at the start) and `shadowed`.
   """
   @spec status(server()) :: map()
   def status(server), do: GenServer.call(server, :status)
 
   @doc """
-  Makes an edit, `layer -> {:ok, layer, transaction} | {:error, error}` (the functions of `Situ.Annotation.Layer`
-  and `Situ.Annotation.Edit`): `{:ok, layer}`. Earlier undone edits can no longer be redone.
+  Applies an edit and returns `{:ok, layer}`. The edit is a function `layer -> {:ok, layer, transaction} |
+  {:error, error}`, from `Situ.Annotation.Layer` or `Situ.Annotation.Edit`, for example. Undone edits can no longer be
+  redone.
   """
   @spec edit(server(), (Layer.t() -> Layer.edited())) :: {:ok, Layer.t()} | {:error, Error.t()}
   def edit(server, fun) when is_function(fun, 1), do: GenServer.call(server, {:edit, fun}, 60_000)
 
-  @doc "Takes the last edit back. Error: `:nothing_to_undo`."
+  @doc "Undoes the last edit. Error: `:nothing_to_undo`."
   @spec undo(server()) :: {:ok, Layer.t()} | {:error, Error.t()}
   def undo(server), do: GenServer.call(server, :undo, 60_000)
 
-  @doc "Makes the edit again that was undone last. Error: `:nothing_to_redo`."
+  @doc "Redoes the edit that was undone last. Error: `:nothing_to_redo`."
   @spec redo(server()) :: {:ok, Layer.t()} | {:error, Error.t()}
   def redo(server), do: GenServer.call(server, :redo, 60_000)
 
   @doc """
-  Gives the stream another schema and saves it: `{:ok, folder}`. Every annotation goes through `fun` first, which
-  adapts it to new names. Earlier edits can no longer be undone. Error: that of the first annotation that the schema
-  does not allow; then nothing has changed.
+  Changes the schema of the stream, saves it and returns `{:ok, folder}`. `fun` first adapts every annotation to the
+  new schema. Earlier edits can no longer be undone. If the schema does not allow an annotation, nothing changes and
+  the error names the first such annotation.
   """
   @spec put_schema(server(), Schema.t(), (Situ.Annotation.t() -> Situ.Annotation.t())) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def put_schema(server, %Schema{} = schema, fun \\ & &1),
     do: GenServer.call(server, {:put_schema, schema, fun}, 600_000)
 
-  @doc "Writes a new version of the store: `{:ok, folder}`. The edits before it can still be undone."
+  @doc "Writes a new version of the store and returns `{:ok, folder}`. Earlier edits can still be undone."
   @spec save(server()) :: {:ok, Path.t()} | {:error, Error.t()}
   def save(server), do: GenServer.call(server, :save, 600_000)
 
-  @doc "Takes what another program has saved meanwhile; subscribers get `{:situ_annotation, pid, :reloaded}`."
+  @doc "Loads a version that another program has saved; subscribers receive `{:situ_annotation, pid, :reloaded}`."
   @spec refresh(server()) :: {:ok, Layer.t()} | {:error, Error.t()}
   def refresh(server), do: GenServer.call(server, :refresh, 60_000)
 
-  @doc "From now on the caller gets a message for each edit, until it ends."
+  @doc "Subscribes the calling process to a message for each edit."
   @spec subscribe(server()) :: :ok
   def subscribe(server), do: GenServer.call(server, :subscribe)
 
-  @doc "Ends the editor; what is not saved stays in the journal."
+  @doc "Stops the editor; unsaved edits stay in the journal."
   @spec stop(server()) :: :ok
   def stop(server), do: GenServer.stop(server)
 
@@ -155,7 +159,7 @@ defmodule Situ.Annotation.Editor do
   def handle_call({:put_schema, schema, fun}, _from, state) do
     changed =
       change(state, fn state ->
-        # The new schema counts only when it is on the disk.
+        # The new schema takes effect only after it was written to disk.
         with {:ok, layer} <- allowed(state.layer, schema, fun),
              do: save_version(%{state | layer: layer, undo: [], redo: []})
       end)
@@ -170,11 +174,11 @@ defmodule Situ.Annotation.Editor do
     end
   end
 
-  # Edits go into the journal, which is one editor's at a time. It takes what others have saved first, and keeps
-  # that when the edit then fails.
+  # Only one editor at a time may write to the journal. The editor first loads the versions that other programs have
+  # saved, and keeps them even if the edit then fails.
   defp change(state, fun) do
     with {:ok, locked} <- EditorState.lock(state) do
-      # A killed editor had left edits.
+      # The journal contained edits of an editor that was killed.
       if locked.layer != state.layer, do: tell(locked, :reloaded)
 
       case current(locked) do
@@ -189,7 +193,7 @@ defmodule Situ.Annotation.Editor do
   defp answer({:ok, state}, _before), do: {:reply, {:ok, state.layer}, EditorState.unlock(state)}
   defp answer(error, state), do: {:reply, error, EditorState.unlock(state)}
 
-  # Without the lock, the journal belongs to another editor.
+  # Without the lock, the journal belongs to another editor and must not be removed.
   defp save_version(state) do
     with {:ok, state} <- Versions.write(state) do
       if state.lock, do: File.rm(state.journal)
@@ -210,10 +214,10 @@ defmodule Situ.Annotation.Editor do
   rescue
     exception ->
       {:error,
-       Error.new(:edit_failed, "the schema cannot be changed", why: Exception.message(exception))}
+       Error.new(:edit_failed, "cannot change the schema", why: Exception.message(exception))}
   end
 
-  # The border to a function from outside: what others have edited outlives it.
+  # The function comes from the caller: an exception in it must not lose the edits of other users.
   defp edited(fun, layer) do
     fun.(layer)
   rescue
@@ -237,7 +241,7 @@ defmodule Situ.Annotation.Editor do
   defp nothing(:undo), do: Error.new(:nothing_to_undo, "there is nothing to undo")
   defp nothing(:redo), do: Error.new(:nothing_to_redo, "there is nothing to redo")
 
-  # On the disk first, then in memory, then told.
+  # The transaction is written to disk before it takes effect in memory and subscribers are notified.
   defp made(state, transaction) do
     with {:ok, layer} <- Layer.apply(state.layer, transaction),
          :ok <- Journal.append(state.journal, {state.base, state.digest}, transaction) do

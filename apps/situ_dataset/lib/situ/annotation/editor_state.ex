@@ -1,7 +1,7 @@
 defmodule Situ.Annotation.EditorState do
   @moduledoc false
-  # The state that an editor starts from: the newest version of its store, with the edits of a journal that a crash
-  # left. An editor with unsaved edits holds the journal's lock, and no other one reads or writes the journal then.
+  # The initial state of an editor: the newest version of its store, with the edits of a journal that a crash left
+  # there. An editor with unsaved edits holds the journal's lock, which keeps other editors from using the journal.
   alias Situ.Annotation.{Journal, Layer, Schema, Versions}
   alias Situ.Dataset.Version
   alias Situ.{Error, Store}
@@ -66,8 +66,8 @@ defmodule Situ.Annotation.EditorState do
 
   defp new_layer(stream, nil) do
     {:error,
-     Error.new(:no_schema, "there is no annotation stream #{inspect(stream)} yet",
-       fix: "give its schema:"
+     Error.new(:no_schema, "annotation stream #{inspect(stream)} does not exist",
+       fix: "pass schema: to create it"
      )}
   end
 
@@ -84,7 +84,7 @@ defmodule Situ.Annotation.EditorState do
   end
 
   @doc """
-  Takes the journal's lock, and the edits that a killed editor left in the journal. Error: `:being_edited`.
+  Acquires the journal's lock and loads the edits that a killed editor left in the journal. Error: `:being_edited`.
   """
   @spec lock(map()) :: {:ok, map()} | {:error, Error.t()}
   def lock(%{lock: nil} = state) do
@@ -99,7 +99,7 @@ defmodule Situ.Annotation.EditorState do
 
   def lock(state), do: {:ok, state}
 
-  @doc "Releases the lock if nothing is unsaved."
+  @doc "Releases the lock unless there are unsaved edits."
   @spec unlock(map()) :: map()
   def unlock(%{unsaved?: false, lock: lock} = state) when lock != nil do
     :ok = release(lock)

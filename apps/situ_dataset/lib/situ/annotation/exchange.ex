@@ -11,47 +11,48 @@ defmodule Situ.Annotation.Exchange do
   @options [
     format: [
       type: {:in, [:eaf, :textgrid, :webvtt, :srt, :label_studio, :csv, :coco]},
-      doc: "Default: by the file's ending."
+      doc: "The file format. Default: detected by the file extension."
     ],
     origin: [
       type: :integer,
       doc:
-        "The time (ns) that the file calls zero. Default: the first begin; reading, what the file says, or 0."
+        "The time (ns) of the file's zero. Default: the first start (writing), or the file's origin or 0 (reading)."
     ],
     schema: [
       type: {:struct, Situ.Annotation.Schema},
-      doc: "Reading: the schema to read by. Default: the file's own, or text."
+      doc:
+        "Reading: the schema to use. Default: the schema in the file, or a schema guessed from the values."
     ],
     name: [
       type: :string,
       default: "Annotation",
-      doc: "Reading: the name of a schema that is made up."
+      doc: "Reading: the name of a guessed schema."
     ],
     media: [
       type: :string,
-      doc: "Writing: the film or sound that it is about, for formats that name one."
+      doc: "Writing: the video or audio file that is annotated, for formats that name one."
     ],
     times: [
       type: {:list, :integer},
       doc:
-        "Writing COCO: the times (ns) of the pictures that get boxes. Default: those of key frames."
+        "Writing COCO: the times (ns) of the images that get boxes. Default: the times of the key frames."
     ]
   ]
 
   @moduledoc """
-  Annotations from and for other programs.
+  Reads annotations from other programs' files and writes them.
 
-  | format | endings | read and written by | what it does not hold |
+  | format | extensions | read and written by | not stored |
   |---|---|---|---|
   | `:eaf` | `.eaf` | ELAN | times below 1 ms, confidence, notes, proposals |
   | `:textgrid` | `.TextGrid` | Praat | annotators, confidence, notes, proposals, empty labels |
-  | `:webvtt` | `.vtt` | browsers, players | times below 1 ms, annotators and the like; points last 1 ms |
-  | `:srt` | `.srt` | players | as WebVTT |
+  | `:webvtt` | `.vtt` | browsers, players | times below 1 ms, annotators, confidence, notes; points last 1 ms |
+  | `:srt` | `.srt` | players | same as WebVTT |
   | `:label_studio` | `.json` | Label Studio | notes |
   | `:csv` | `.csv` | spreadsheets | nothing |
-  | `:coco` | `.coco.json` | trainers of detectors | whatever is no box; which boxes are key frames, with `times:` |
+  | `:coco` | `.coco.json` | training of detectors | annotations without a box, key frame flags (with `times:`) |
 
-  `write/3` and `read/2` return a list of sentences about lost data, empty if nothing was lost.
+  `write/3` and `read/2` return a list of sentences that describe the lost data; it is empty if nothing was lost.
 
       iex> alias Situ.Annotation.{Exchange, Layer, Schema}
       iex> hi = Situ.Annotation.new(1_000_000_000, 2_500_000_000, "P1", %{"Words" => "Hi"})
@@ -63,11 +64,11 @@ defmodule Situ.Annotation.Exchange do
       iex> Layer.annotations(again) == Layer.annotations(layer)
       true
 
-  A schema with several attributes is a row per track and attribute, called `TRACK.ATTRIBUTE`, where a format's rows
-  hold one text each (ELAN, Praat); reading by the same schema puts them together again.
+  ELAN and Praat store one text per interval. A schema with several attributes therefore becomes one row per track and
+  attribute, called `TRACK.ATTRIBUTE`. Reading with the same schema joins these rows again.
 
-  Files come from strangers: they are bounded (64 MB), XML with a document type is refused, nothing in them makes
-  atoms.
+  Files are untrusted input: they may have at most 64 MB, XML with a document type is rejected, and reading never
+  creates atoms.
 
   ## Options
 
@@ -90,18 +91,18 @@ defmodule Situ.Annotation.Exchange do
   @type format :: :eaf | :textgrid | :webvtt | :srt | :label_studio | :csv | :coco
   @type losses :: [String.t()]
 
-  @doc "A layer as a file's text; times are relative to `origin:`. The losses name everything left out."
+  @doc "Encodes a layer as the text of a file. Times are relative to `origin:`. The losses describe all omitted data."
   @callback encode(Layer.t(), opts :: keyword()) :: {iodata(), losses()}
-  @doc "The annotations of a file, its schema if it says one, or the reason in words."
+  @doc "Decodes the text of a file to its annotations and its schema (if it has one), or returns the reason in words."
   @callback decode(binary(), opts :: keyword()) ::
               {:ok, Schema.t() | nil, [Situ.Annotation.t()], losses()} | {:error, String.t()}
 
-  @doc "The format of a file by its ending. Error: `:unknown_format`."
+  @doc "Returns the format of a file by its extension. Error: `:unknown_format`."
   @spec format(Path.t()) :: {:ok, format()} | {:error, Error.t()}
   def format(path) do
     name = path |> Path.basename() |> String.downcase()
 
-    # The longest ending is the one that is meant.
+    # The longest extension takes precedence: `.coco.json` before `.json`.
     case @endings
          |> Enum.filter(&String.ends_with?(name, elem(&1, 0)))
          |> Enum.sort_by(&(-byte_size(elem(&1, 0)))) do
@@ -110,14 +111,14 @@ defmodule Situ.Annotation.Exchange do
 
       [] ->
         {:error,
-         Error.new(:unknown_format, "no format for annotations by the ending of #{path}",
+         Error.new(:unknown_format, "the extension of #{path} is not a known annotation format",
            fix:
-             "endings are #{@endings |> Map.keys() |> Enum.sort() |> Enum.join(", ")}; or give format:"
+             "use one of #{@endings |> Map.keys() |> Enum.sort() |> Enum.join(", ")}, or pass format:"
          )}
     end
   end
 
-  @doc "Writes a layer to a file: `{:ok, losses}`."
+  @doc "Writes a layer to a file and returns `{:ok, losses}`."
   @spec write(Layer.t(), Path.t(), keyword()) :: {:ok, losses()} | {:error, Error.t()}
   def write(%Layer{} = layer, path, opts \\ []) do
     with {:ok, format} <- chosen(path, opts),
@@ -137,7 +138,7 @@ defmodule Situ.Annotation.Exchange do
 
   defp chosen(path, opts), do: if(opts[:format], do: {:ok, opts[:format]}, else: format(path))
 
-  @doc "The same as text: `{:ok, text, losses}`."
+  @doc "Encodes a layer as text and returns `{:ok, text, losses}`."
   @spec encode(Layer.t(), format(), keyword()) :: {:ok, binary(), losses()} | {:error, Error.t()}
   def encode(%Layer{} = layer, format, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options) do
@@ -152,7 +153,7 @@ defmodule Situ.Annotation.Exchange do
     end
   end
 
-  @doc "Reads a file: `{:ok, layer, losses}`. Errors: `:not_found`, `:bad_file`, `:overlap` and those of the schema."
+  @doc "Reads a file; returns `{:ok, layer, losses}`. Errors: `:not_found`, `:bad_file`, `:overlap`, schema errors."
   @spec read(Path.t(), keyword()) :: {:ok, Layer.t(), losses()} | {:error, Error.t()}
   def read(path, opts \\ []) do
     with {:ok, format} <- chosen(path, opts),
@@ -173,7 +174,7 @@ defmodule Situ.Annotation.Exchange do
       {:ok, text}
     else
       {:ok, %{size: size}} ->
-        {:error, bad("it has #{size} bytes, more than the #{@largest} that are read")}
+        {:error, bad("it has #{size} bytes; the limit is #{@largest}")}
 
       {:error, reason} ->
         {:error,
@@ -181,7 +182,7 @@ defmodule Situ.Annotation.Exchange do
     end
   end
 
-  @doc "The same out of text."
+  @doc "Decodes the text of a file and returns `{:ok, layer, losses}`."
   @spec decode(binary(), format(), keyword()) :: {:ok, Layer.t(), losses()} | {:error, Error.t()}
   def decode(text, format, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options) do
@@ -200,7 +201,7 @@ defmodule Situ.Annotation.Exchange do
          do: layer(schema, annotations, losses, name)
   end
 
-  # Of two that overlap on one track (no rule of the format forbids it) the second gets a track of its own.
+  # No rule of the formats forbids overlaps on a track: the second of two overlapping annotations gets another track.
   defp layer(schema, annotations, losses, _name) do
     {:ok, empty} = Layer.new(schema)
 
@@ -221,7 +222,7 @@ defmodule Situ.Annotation.Exchange do
         {:ok, layer,
          losses ++
            [
-             "#{n} annotations overlap with others of their track: they are on tracks of their own"
+             "#{n} annotations overlap with others of their track: they were moved to additional tracks"
            ]}
 
       error ->
@@ -240,7 +241,7 @@ defmodule Situ.Annotation.Exchange do
   end
 
   defp bad(why) do
-    Error.new(:bad_file, "this is no file of annotations that can be read",
+    Error.new(:bad_file, "cannot read the annotation file",
       why: why,
       fix: "check the file and its format"
     )

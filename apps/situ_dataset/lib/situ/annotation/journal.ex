@@ -1,21 +1,22 @@
 defmodule Situ.Annotation.Journal do
   @moduledoc false
-  # The transactions since the last save, a line of JSON each, behind a line that names the version they are made on,
-  # and a digest of the stream in it: versions that only changed other streams of the store do no harm. A line that a
-  # crash cut short was never answered for, and is taken off; a broken line before others is damage.
+  # The transactions since the last save, one line of JSON each. The first line names the version that they apply to
+  # and contains a digest of the stream in it, so that versions that only changed other streams of the store do not
+  # matter. A last line that a crash truncated was never acknowledged and is removed; any other broken line is
+  # damage.
   alias Situ.{Annotation, Error}
   alias Situ.Annotation.{Layer, Schema}
   alias Situ.Store.{AtomicFile, FileLock}
 
-  @typedoc "A version (the store's folder, `nil` before the first), and the digest of the stream in it."
+  @typedoc "A version (the store's folder; `nil` before the first version) and the digest of the stream in it."
   @type base :: {Path.t() | nil, String.t() | nil}
 
   @spec path(Path.t(), String.t()) :: Path.t()
   def path(store, stream), do: "#{store}.#{String.replace(stream, ~r/[^\w.-]/u, "_")}.journal"
 
   @doc """
-  Locks the journal for the calling process: `{:ok, lock}`. Error: `:being_edited`, which names the holder. An editor
-  with unsaved edits holds the lock, so a crash has left a journal that is not locked.
+  Locks the journal for the calling process and returns `{:ok, lock}`. Error: `:being_edited`, which names the holder.
+  An editor with unsaved edits holds the lock, so an unlocked journal is the result of a crash.
   """
   @spec lock(Path.t()) :: {:ok, FileLock.t()} | {:error, Error.t()}
   def lock(path) do
@@ -24,7 +25,7 @@ defmodule Situ.Annotation.Journal do
       {:error,
        Error.new(:being_edited, "another editor has unsaved edits of these annotations",
          why: FileLock.describe(holder),
-         fix: "save there first, or end that program; then edit again",
+         fix: "save in the other editor or quit that program, then edit again",
          meta: %{holder: holder}
        )}
     end
@@ -35,7 +36,7 @@ defmodule Situ.Annotation.Journal do
          do: {:error, failed(path, reason)}
   end
 
-  @doc "Of the annotations as they are stored, to know them again; `nil` for a stream that is not stored yet."
+  @doc "Returns a digest that identifies the stored annotations; `nil` for a stream that is not stored yet."
   @spec digest(Layer.t() | nil) :: String.t() | nil
   def digest(nil), do: nil
 
@@ -44,7 +45,7 @@ defmodule Situ.Annotation.Journal do
     :sha256 |> :crypto.hash(:erlang.term_to_binary(stored, [:deterministic])) |> Base.encode16()
   end
 
-  @doc "Appends a transaction that was made on `base`."
+  @doc "Appends a transaction that applies to `base`."
   @spec append(Path.t(), base(), Layer.transaction()) :: :ok | {:error, Error.t()}
   def append(path, base, transaction) do
     line = [Situ.JSON.encode(Enum.map(transaction, &change/1)), "\n"]
@@ -55,14 +56,14 @@ defmodule Situ.Annotation.Journal do
     with :ok <- AtomicFile.make_folder(Path.dirname(path)),
          {:ok, device} <- :file.open(path, [:append, :raw, :binary]),
          :ok <- written(device, line) do
-      # Otherwise a power cut could lose the name of a file whose content is on the disk.
+      # Without this, a power cut could lose the file's name although its content is on disk.
       if new?, do: AtomicFile.sync_folder(Path.dirname(path)), else: :ok
     else
       {:error, reason} -> {:error, failed(path, reason)}
     end
   end
 
-  @doc "Puts the transactions, oldest first, in the place of the journal: on another base, whole or not at all."
+  @doc "Atomically replaces the journal with these transactions (oldest first), which apply to another base."
   @spec rewrite(Path.t(), base(), [Layer.transaction()]) :: :ok | {:error, Error.t()}
   def rewrite(path, base, transactions) do
     lines = for t <- transactions, do: [Situ.JSON.encode(Enum.map(t, &change/1)), "\n"]
@@ -71,7 +72,7 @@ defmodule Situ.Annotation.Journal do
          do: {:error, failed(path, reason)}
   end
 
-  # A line that could not be written whole is taken off again: it would be damage in front of the next.
+  # A line that was written only in part is removed, because it would damage the next one.
   defp written(device, line) do
     {:ok, before} = :file.position(device, :eof)
 
@@ -97,16 +98,16 @@ defmodule Situ.Annotation.Journal do
   defp json(annotation), do: Annotation.to_json(annotation)
 
   defp failed(path, reason) do
-    Error.new(:not_saved, "the edit cannot be kept in #{path}",
+    Error.new(:not_saved, "cannot write the edit to #{path}",
       why: to_string(:file.format_error(reason)),
-      fix: "make room or check the folder; the edit was not made"
+      fix: "free disk space or check the folder; the edit was not applied"
     )
   end
 
   @doc """
-  The transactions, oldest first; none where there is no journal. `:older` where they were made on another version than
-  `base`, in which the stream was another: either they were saved, and only the journal not yet removed, or another
-  program has saved meanwhile.
+  Returns the transactions, oldest first; an empty list without a journal. Returns `:older` if they apply to another
+  version than `base` with a different state of the stream. In this case the transactions were saved and only the
+  journal was not removed yet, or another program has saved the stream.
   """
   @spec read(Path.t(), base()) ::
           {:ok, [Layer.transaction()]}
@@ -159,7 +160,7 @@ defmodule Situ.Annotation.Journal do
         with {:ok, transactions} <- transactions(lines, path), do: {:older, older, transactions}
 
       {:ok, %{"base" => _}} ->
-        {:error, unfit(Error.new(:other_version, "it was made on another version"))}
+        {:error, unfit(Error.new(:other_version, "the edits were made on another version"))}
 
       _ ->
         {:error, damaged(path, 1)}
@@ -209,17 +210,19 @@ defmodule Situ.Annotation.Journal do
 
   defp damaged(path, line) do
     Error.new(:bad_journal, "the journal of unsaved edits #{path} is damaged",
-      why: "line #{line} is no transaction",
-      fix: "move the file away to edit without them; the lines before #{line} are sound"
+      why: "line #{line} is not a transaction",
+      fix:
+        "move the file away to edit without these edits; the lines before line #{line} are intact"
     )
   end
 
-  @doc "The error of a journal that does not belong to the recording beside it."
+  @doc "Returns the error for a journal that does not fit its recording."
   @spec unfit(Error.t()) :: Error.t()
   def unfit(error) do
     Error.new(:bad_journal, "the journal of unsaved edits does not fit the recording",
       why: error.what,
-      fix: "move the journal away, or put back the version of the recording it was made on"
+      fix:
+        "move the journal away, or restore the version of the recording that the edits were made on"
     )
   end
 end

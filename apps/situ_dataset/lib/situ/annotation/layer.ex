@@ -1,6 +1,6 @@
 defmodule Situ.Annotation.Layer do
   @moduledoc """
-  The annotations of one stream, as a value: every edit keeps the rules, and is a transaction that can be undone.
+  The annotations of one stream as a value: every edit preserves the rules and is a transaction that can be undone.
 
       iex> alias Situ.Annotation.{Layer, Schema}
       iex> {:ok, layer} = Layer.new(Schema.finite("Speech", ["speaks", "laughs"]))
@@ -15,11 +15,11 @@ defmodule Situ.Annotation.Layer do
       iex> Layer.fetch!(layer, 1).values
       %{"Speech" => "speaks"}
 
-  The rules: an annotation does not end before it begins, its values fit the schema, and no two of one track overlap
-  (`Situ.Annotation.overlap?/2`).
+  The rules are: an annotation does not end before it begins, its values fit the schema, and annotations of one
+  track do not overlap (`Situ.Annotation.overlap?/2`).
 
-  A transaction is a list of `{id, before, after}`, `nil` where there is none. Edits answer `{:ok, layer,
-  transaction}`; `apply/2` takes one, `inverse/1` turns it round.
+  A transaction is a list of `{id, before, after}`; `nil` means that the annotation does not exist. Edits return
+  `{:ok, layer, transaction}`. `apply/2` applies a transaction, and `inverse/1` reverses it.
   """
   alias Situ.{Annotation, Error}
   alias Situ.Annotation.Schema
@@ -37,10 +37,10 @@ defmodule Situ.Annotation.Layer do
         }
   @type edited :: {:ok, t(), transaction()} | {:error, Error.t()}
 
-  @doc "A layer of these annotations; those without an id get one. Errors: as of the edits, naming the annotation."
+  @doc "Builds a layer; annotations without an id get one. Errors: the errors of edits."
   @spec new(Schema.t(), [Annotation.t()]) :: {:ok, t()} | {:error, Error.t()}
   def new(%Schema{} = schema, annotations \\ []) do
-    # Ids that several have are given again.
+    # Repeated ids are replaced by new ones.
     {numbered, _} =
       Enum.map_reduce(annotations, MapSet.new(), fn a, seen ->
         if a.id in seen, do: {%{a | id: nil}, seen}, else: {a, MapSet.put(seen, a.id)}
@@ -62,36 +62,37 @@ defmodule Situ.Annotation.Layer do
   defp put_new(layer, annotation),
     do: commit(layer, [{annotation.id, nil, filled(layer, annotation)}])
 
-  # Asking
+  # Queries
 
-  @doc "All annotations by end, then begin, then track."
+  @doc "Returns all annotations, sorted by end, then start, then track."
   @spec annotations(t()) :: [Annotation.t()]
   def annotations(%__MODULE__{} = layer),
     do: layer.by_id |> Map.values() |> Enum.sort_by(&{&1.to, &1.from, &1.track})
 
-  @doc "The names of the tracks that hold annotations, sorted."
+  @doc "Returns the sorted names of the tracks that have annotations."
   @spec tracks(t()) :: [String.t()]
   def tracks(%__MODULE__{} = layer), do: layer.tracks |> Map.keys() |> Enum.sort()
 
-  @doc "The annotations of a track in the order of time."
+  @doc "Returns the annotations of a track in the order of time."
   @spec on_track(t(), String.t()) :: [Annotation.t()]
   def on_track(%__MODULE__{} = layer, track) do
     for id <- :gb_trees.values(tree(layer, track)), do: Map.fetch!(layer.by_id, id)
   end
 
   @doc """
-  The annotation of a track that `time` lies in (both ends included; of two that touch there, the later), or `nil`.
+  Returns the annotation of a track at `time`, or `nil`. Both ends are included; if two annotations touch at `time`,
+  the later one is returned.
   """
   @spec at(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
   def at(%__MODULE__{} = layer, track, time) do
-    # From one ns later backwards, the first that begins at or before `time`.
+    # Finds the last annotation that begins at or before `time`.
     case previous(layer, track, time + 1) do
       nil -> nil
       found -> if Annotation.contains?(found, time), do: found
     end
   end
 
-  @doc "The last annotation of a track that begins before `time`, or `nil`."
+  @doc "Returns the last annotation of a track that begins before `time`, or `nil`."
   @spec previous(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
   def previous(%__MODULE__{} = layer, track, time) do
     case layer |> tree(track) |> before(time) do
@@ -100,7 +101,7 @@ defmodule Situ.Annotation.Layer do
     end
   end
 
-  @doc "The first annotation of a track that begins after `time`, or `nil`."
+  @doc "Returns the first annotation of a track that begins after `time`, or `nil`."
   @spec next(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
   def next(%__MODULE__{} = layer, track, time) do
     case :gb_trees.next(:gb_trees.iterator_from({time + 1, time + 1}, tree(layer, track))) do
@@ -109,7 +110,7 @@ defmodule Situ.Annotation.Layer do
     end
   end
 
-  @doc "The annotation of that id. Error: `:no_annotation`."
+  @doc "Returns the annotation with that id. Error: `:no_annotation`."
   @spec fetch(t(), id()) :: {:ok, Annotation.t()} | {:error, Error.t()}
   def fetch(%__MODULE__{} = layer, id) do
     case layer.by_id do
@@ -118,13 +119,13 @@ defmodule Situ.Annotation.Layer do
 
       _ ->
         {:error,
-         Error.new(:no_annotation, "there is no annotation #{inspect(id)}",
-           fix: "it may be deleted"
+         Error.new(:no_annotation, "annotation #{inspect(id)} does not exist",
+           fix: "reload the annotations; it may have been deleted"
          )}
     end
   end
 
-  @doc "As `fetch/2`, but raises the error."
+  @doc "Returns the annotation with that id, or raises the error."
   @spec fetch!(t(), id()) :: Annotation.t()
   def fetch!(layer, id) do
     case fetch(layer, id) do
@@ -135,9 +136,9 @@ defmodule Situ.Annotation.Layer do
 
   defp tree(layer, track), do: Map.get(layer.tracks, track, :gb_trees.empty())
 
-  # Editing
+  # Edits
 
-  @doc "Adds an annotation; attributes it says nothing of get their defaults, and it gets an id."
+  @doc "Adds an annotation with a new id; missing attributes get their default values."
   @spec add(t(), Annotation.t()) :: edited()
   def add(%__MODULE__{} = layer, %Annotation{} = annotation) do
     annotation = filled(layer, %{annotation | id: layer.next})
@@ -147,7 +148,7 @@ defmodule Situ.Annotation.Layer do
   defp filled(layer, annotation),
     do: %{annotation | values: Map.merge(Schema.defaults(layer.schema), annotation.values)}
 
-  @doc "Deletes annotations, all or none."
+  @doc "Deletes all of these annotations, or none if one does not exist."
   @spec remove(t(), id() | [id()]) :: edited()
   def remove(%__MODULE__{} = layer, ids) do
     ids
@@ -173,28 +174,28 @@ defmodule Situ.Annotation.Layer do
          do: commit(layer, [{id, old, %{struct!(old, fields) | id: id}}])
   end
 
-  @doc "Sets one attribute."
+  @doc "Sets the value of one attribute."
   @spec set_value(t(), id(), String.t(), Schema.value()) :: edited()
   def set_value(%__MODULE__{} = layer, id, attribute, value) do
     with {:ok, old} <- fetch(layer, id),
          do: change(layer, id, values: Map.put(old.values, attribute, value))
   end
 
-  @doc "Takes a proposal for an annotation."
+  @doc "Accepts a proposal as an annotation."
   @spec accept(t(), id(), String.t() | nil) :: edited()
   def accept(%__MODULE__{} = layer, id, by \\ nil) do
     with {:ok, old} <- fetch(layer, id), do: change(layer, id, proposed?: false, by: by || old.by)
   end
 
-  @doc "Makes a transaction, or says which rule it would break; the layer is checked where it changes."
+  @doc "Applies a transaction and also returns it; only the changed annotations are checked against the rules."
   @spec commit(t(), transaction()) :: edited()
   def commit(%__MODULE__{} = layer, transaction) do
     with {:ok, layer} <- __MODULE__.apply(layer, transaction), do: {:ok, layer, transaction}
   end
 
   @doc """
-  Applies a transaction, all or nothing. Errors: `:overlap`, `:bad_value`, `:unknown_attribute`, `:bad_annotation`,
-  and `:stale_edit` when the layer is not what the transaction was made for.
+  Applies a transaction completely or not at all. Errors: `:overlap`, `:bad_value`, `:unknown_attribute`,
+  `:bad_annotation`, and `:stale_edit` if the layer has changed since the transaction was made.
   """
   @spec apply(t(), transaction()) :: {:ok, t()} | {:error, Error.t()}
   def apply(%__MODULE__{} = layer, transaction) do
@@ -209,8 +210,8 @@ defmodule Situ.Annotation.Layer do
       :ok
     else
       {:error,
-       Error.new(:stale_edit, "another person changed the annotation meanwhile",
-         fix: "look again and repeat the edit"
+       Error.new(:stale_edit, "the annotation was changed by someone else",
+         fix: "check the annotation and repeat the edit"
        )}
     end
   end
@@ -249,7 +250,7 @@ defmodule Situ.Annotation.Layer do
     end
   end
 
-  # Those of a track do not overlap, so only the nearest on either side can be in the way.
+  # Annotations of a track do not overlap, so only the nearest ones on either side can overlap with a new one.
   defp free(layer, new) do
     case Enum.find(neighbours(layer, new), &Annotation.overlap?(&1, new)) do
       nil -> :ok
@@ -273,7 +274,8 @@ defmodule Situ.Annotation.Layer do
     end)
   end
 
-  # The last that begins before `time`: gb_trees of the floor iterate forward only, so this walks down the tree.
+  # Finds the last annotation that begins before `time`. In the oldest supported OTP release, gb_trees iterates only
+  # forward, so this walks down the tree.
   @dialyzer {:no_opaque, before: 2, neighbours: 2}
   defp before({_size, node}, time), do: descend(node, time, [])
 
@@ -284,14 +286,14 @@ defmodule Situ.Annotation.Layer do
   end
 
   defp overlap(new, other) do
-    Error.new(:overlap, "an annotation on track #{inspect(new.track)} is in the way",
+    Error.new(:overlap, "the annotation overlaps with another one on track #{inspect(new.track)}",
       why:
-        "it lasts from #{Situ.Time.to_iso8601(other.from)} to #{Situ.Time.to_iso8601(other.to)}",
+        "the other one lasts from #{Situ.Time.to_iso8601(other.from)} to #{Situ.Time.to_iso8601(other.to)}",
       fix: "move its edge, or use another track"
     )
   end
 
-  @doc "The transaction that undoes one."
+  @doc "Returns the transaction that undoes a transaction."
   @spec inverse(transaction()) :: transaction()
   def inverse(transaction),
     do:

@@ -1,20 +1,21 @@
 defmodule Situ.Annotation.Psi do
   @moduledoc """
-  Annotations as Microsoft's \\psi records them: a stream of sets, each with the annotations that end at its time, one
-  of each track; the schema is the stream's metadata. `Situ.Annotation.Recording` reads them like our own.
+  Decodes annotations that Microsoft's \\psi recorded. Their stream consists of sets, which contain the annotations
+  that end at the message's time, at most one per track. The schema is the stream's metadata.
+  `Situ.Annotation.Recording` reads these streams like streams of Situ.
   """
   alias Situ.Annotation
 
   @set "Microsoft.Psi.Data.Annotations.TimeIntervalAnnotationSet"
 
-  # System.Drawing.Color: its number was given (2), not one of the names that .NET knows.
+  # System.Drawing.Color: state 2 means that the colour was given as a number, not as a name known to .NET.
   @given 2
 
-  @doc "Whether a stream's messages are such sets."
+  @doc "Returns whether a stream's messages are annotation sets of \\psi."
   @spec annotations?(Situ.Store.StreamInfo.t()) :: boolean()
   def annotations?(info), do: info.type_name == @set
 
-  @doc "The annotations of one set, sorted by track."
+  @doc "Decodes the annotations of one set, sorted by track."
   @spec annotations(term()) :: {:ok, [Annotation.t()]} | :error
   def annotations(%{"data" => %{} = tracks}) do
     tracks
@@ -48,7 +49,7 @@ defmodule Situ.Annotation.Psi do
 
   defp annotation(_other), do: :error
 
-  # A track need not have a name there.
+  # In \psi, a track may be unnamed.
   defp track(name) when name in [nil, ""], do: "Track"
   defp track(name), do: name
 
@@ -58,7 +59,7 @@ defmodule Situ.Annotation.Psi do
   defp value(%{"Value" => value}) when value != nil, do: inspect(value)
   defp value(_none), do: ""
 
-  @doc "The JSON form of `Situ.Annotation.Schema` of a schema of \\psi's."
+  @doc "Converts a schema of \\psi to the JSON form of `Situ.Annotation.Schema`."
   @spec schema(term()) :: {:ok, map()} | :error
   def schema(%{"Name" => name, "AttributeSchemas" => [_ | _] = attributes}) do
     {:ok, %{"name" => name, "attributes" => Enum.map(attributes, &attribute/1)}}
@@ -76,7 +77,7 @@ defmodule Situ.Annotation.Psi do
     |> Map.merge(kind(values))
   end
 
-  # No schema of ours: its parser tells why.
+  # The schema parser will report why this attribute is invalid.
   defp attribute(other), do: other
 
   defp kind(%{"PossibleValues" => [%{"Value" => first} | _] = values} = schema)

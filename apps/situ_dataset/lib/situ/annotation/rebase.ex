@@ -1,11 +1,11 @@
 defmodule Situ.Annotation.Rebase do
   @moduledoc false
-  # Transactions made on one version of a layer, made again on another that a different program has saved meanwhile.
-  # An annotation is known again by what it is, since each program counts ids for itself.
+  # Rebases transactions that were made on one version of a layer onto a version that another program has saved.
+  # Annotations are matched by their content, because each program assigns its own ids.
   alias Situ.{Annotation, Error}
   alias Situ.Annotation.Layer
 
-  @doc "The layer with all of them, and the transactions as they are on it; the error of the first that does not fit."
+  @doc "Applies the transactions to the layer; returns both, or the error of the first transaction that does not fit."
   @spec onto(Layer.t(), [Layer.transaction()]) ::
           {:ok, Layer.t(), [Layer.transaction()]} | {:error, Error.t()}
   def onto(%Layer{} = layer, transactions) do
@@ -44,7 +44,7 @@ defmodule Situ.Annotation.Rebase do
   end
 
   defp change({id, nil, new}, _layer, ids, next) do
-    # one that was deleted before, and comes back by an undo
+    # An undo restores an annotation that was deleted before.
     id = Map.get(ids, id, next)
     {:ok, {id, nil, with_id(new, id)}}
   end
@@ -52,7 +52,8 @@ defmodule Situ.Annotation.Rebase do
   defp change({id, old, new}, layer, ids, _next) do
     case here(layer, ids[id], old) do
       nil ->
-        {:error, Error.new(:stale_edit, "an annotation that was edited is another one there")}
+        {:error,
+         Error.new(:stale_edit, "an edited annotation was changed or deleted by another program")}
 
       found ->
         {:ok, {found.id, found, with_id(new, found.id)}}

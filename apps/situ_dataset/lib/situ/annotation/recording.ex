@@ -1,13 +1,13 @@
 defmodule Situ.Annotation.Recording do
   @moduledoc """
-  Annotations in recordings: read from a stream, written as a store of their own beside what they are about.
+  Reads annotations from a stream of a recording, and writes them to a separate store next to the annotated recording.
 
       {:ok, layer} = Situ.Annotation.Recording.load(store, "Speech")
       {:ok, path} = Situ.Annotation.Recording.write(layer, "study/p01/annotation", "Speech")
 
-  A store is not changed where it lies. Writing makes a new version (`annotation.0001`, `annotation.0002` ...),
-  whole or not at all, so that every earlier state can still be opened; the recording of the session itself is never
-  touched, and may be being written meanwhile. The schema is the stream's supplemental metadata, in its JSON form.
+  A stored version never changes. Writing atomically creates a new version (`annotation.0001`, `annotation.0002`
+  ...), so every earlier state can still be opened. The recording of the session is never modified, and it may still
+  be in progress. The schema is stored as supplemental metadata of the stream, in its JSON form.
   """
   alias Situ.{Annotation, Error, Store}
   alias Situ.Annotation.{Layer, Psi, Schema}
@@ -15,18 +15,18 @@ defmodule Situ.Annotation.Recording do
 
   @type_wanted {:list, Annotation}
 
-  @doc "The `Situ.Type` of an annotation stream."
+  @doc "Returns the `Situ.Type` of an annotation stream."
   @spec type() :: Situ.Type.t()
   def type, do: @type_wanted
 
-  @doc "Whether a stored stream holds annotations (ours or \\psi's): its type says so, or its metadata is a schema."
+  @doc "Returns whether a stored stream contains annotations of Situ or \\psi, by its type or its metadata."
   @spec annotations?(Store.t(), Store.StreamInfo.t()) :: boolean()
   def annotations?(%Store.Handle{} = store, %Store.StreamInfo{} = info),
     do:
       info.type == @type_wanted or Psi.annotations?(info) or
         match?({:ok, _}, schema(store, info))
 
-  @doc "The schema that the stream was recorded with. Error: `:no_metadata`, `:bad_schema`."
+  @doc "Returns the schema that the stream was recorded with. Errors: `:no_metadata`, `:bad_schema`."
   @spec schema(Store.t(), Store.name()) :: {:ok, Schema.t()} | {:error, Error.t()}
   def schema(%Store.Handle{} = store, stream) do
     with {:ok, term} <- Store.metadata(store, stream) do
@@ -38,9 +38,9 @@ defmodule Situ.Annotation.Recording do
   end
 
   @doc """
-  The annotations of a stream, with their schema (guessed from the values when the stream has none).
+  Reads the annotations of a stream and its schema, which is guessed from the values if the stream has none.
 
-  Errors: those of the store; `:bad_annotation` when its messages are no annotations.
+  Errors: the errors of the store, and `:bad_annotation` if a message is not a list of annotations.
   """
   @spec load(Store.t(), Store.name()) :: {:ok, Layer.t()} | {:error, Error.t()}
   def load(%Store.Handle{} = store, stream) do
@@ -55,7 +55,7 @@ defmodule Situ.Annotation.Recording do
          do: Schema.guess(info.name, Enum.map(annotations, & &1.values))
   end
 
-  @doc "The annotations of a stream without their schema. Options as `Situ.Store.messages/3`."
+  @doc "Reads the annotations of a stream without their schema. Takes the options of `Situ.Store.messages/3`."
   @spec annotations(Store.t(), Store.name(), keyword()) ::
           {:ok, [Annotation.t()]} | {:error, Error.t()}
   def annotations(%Store.Handle{} = store, stream, opts \\ []) do
@@ -95,18 +95,18 @@ defmodule Situ.Annotation.Recording do
     {:error,
      Error.new(
        :bad_annotation,
-       "the message at #{Situ.Time.to_iso8601(time)} holds no annotations",
+       "the message at #{Situ.Time.to_iso8601(time)} is not a list of annotations",
        why:
-         "a message of an annotation stream is the list of the annotations that end at its time",
-       fix: "name an annotation stream"
+         "a message of an annotation stream must be the list of the annotations that end at its time",
+       fix: "choose an annotation stream"
      )}
   end
 
-  @doc "Writes the layer as stream `stream` of a new version of the store at `path` (`ROOT/NAME`): `{:ok, folder}`."
+  @doc "Writes the layer as stream `stream` of a new version of the store `ROOT/NAME`; returns `{:ok, folder}`."
   @spec write(Layer.t(), Path.t(), String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def write(%Layer{} = layer, path, stream), do: write_all(%{stream => layer}, path)
 
-  @doc "The same for several streams of one store."
+  @doc "Writes several layers as streams of a new version of the store; returns `{:ok, folder}`."
   @spec write_all(%{String.t() => Layer.t()}, Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def write_all(layers, path) do
     path = Path.expand(path)
@@ -114,8 +114,8 @@ defmodule Situ.Annotation.Recording do
   end
 
   @doc """
-  The same, as the version that follows the folder `base` (`nil` for the first). Error: `:newer_version` when somebody
-  saved meanwhile; then nothing was written.
+  Writes several layers as the version after the folder `base` (`nil` for the first version). Returns the error
+  `:newer_version` and writes nothing if another program has saved a version after `base`.
   """
   @spec write_after(%{String.t() => Layer.t()}, Path.t(), Path.t() | nil) ::
           {:ok, Path.t()} | {:error, Error.t()}
@@ -143,7 +143,7 @@ defmodule Situ.Annotation.Recording do
         give_up(writer, error)
 
       {:error, error} ->
-        # of a disk without room not even the folder stays
+        # If the disk is full, the folder must not remain either.
         Version.discard(place)
         {:error, error}
     end
@@ -164,7 +164,7 @@ defmodule Situ.Annotation.Recording do
   defp ended([]), do: 0
   defp ended(messages), do: List.last(messages).originating_time
 
-  # An unfinished file is no version.
+  # An unfinished store must not become a version.
   defp give_up(writer, error) do
     _ = Store.Writer.close(writer)
     _ = Store.delete(writer.path)

@@ -1,7 +1,7 @@
 defmodule Situ.Annotation.Schema do
   @moduledoc """
-  Which attributes the annotations of a stream have: names, kinds, allowed values, colours, and the keys that set
-  them.
+  Describes the attributes of a stream's annotations: names, kinds, allowed values, colours, and the keys that set the
+  values.
 
       iex> {:ok, schema} = Situ.Annotation.Schema.parse(%{"name" => "Speech", "attributes" => [
       ...>   %{"name" => "Speaker", "kind" => "finite", "values" => [
@@ -13,11 +13,11 @@ defmodule Situ.Annotation.Schema do
       {:ok, {"Speaker", "P2"}}
       iex> {:error, error} = Situ.Annotation.Schema.check(schema, %{"Speaker" => "P3"})
       iex> error.why
-      "\\"P3\\" is none of \\"P1\\", \\"P2\\""
+      "\\"P3\\" is not one of \\"P1\\", \\"P2\\""
 
-  The JSON form (`parse/1`, `to_json/1`, files by `load/1` and `save/2`) is described by
-  `priv/schema/annotation.schema.json`. Kinds: `:finite` (one of `values`), `:text`, `:number`, `:bool`. Colours are
-  `#rrggbb`. A key is one character; it belongs to one value of the whole schema.
+  `priv/schema/annotation.schema.json` describes the JSON form (`parse/1`, `to_json/1`; `load/1` and `save/2` for
+  files). The kinds are `:finite` (one of `values`), `:text`, `:number` and `:bool`. Colours are `#rrggbb`. A key is
+  one character and is unique in the schema.
   """
   alias Situ.Annotation.Attribute
   alias Situ.Error
@@ -28,7 +28,7 @@ defmodule Situ.Annotation.Schema do
   @type value :: String.t() | number() | boolean()
   @type t :: %__MODULE__{name: String.t(), description: String.t(), attributes: [Attribute.t()]}
 
-  @doc "One attribute `name` with these values, for a start: `finite(\"Speech\", [\"speaking\", \"silent\"])`."
+  @doc "Builds a schema with one finite attribute `name`, such as `finite(\"Speech\", [\"speaking\", \"silent\"])`."
   @spec finite(String.t(), [String.t()]) :: t()
   def finite(name, values) do
     {:ok, schema} =
@@ -42,7 +42,7 @@ defmodule Situ.Annotation.Schema do
     schema
   end
 
-  @doc "One attribute of free text."
+  @doc "Builds a schema with one free-text attribute."
   @spec text(String.t()) :: t()
   def text(name) do
     {:ok, schema} =
@@ -51,7 +51,7 @@ defmodule Situ.Annotation.Schema do
     schema
   end
 
-  @doc "Out of the JSON form. Error: `:bad_schema`, which says where."
+  @doc "Parses the JSON form. Error: `:bad_schema`, which says which part is invalid."
   @spec parse(term()) :: {:ok, t()} | {:error, Error.t()}
   def parse(%{"name" => name, "attributes" => [_ | _] = attributes} = json)
       when is_binary(name) do
@@ -64,7 +64,7 @@ defmodule Situ.Annotation.Schema do
     end
   end
 
-  def parse(_), do: bad("a schema has a \"name\" and at least one of \"attributes\"")
+  def parse(_), do: bad("a schema must have a \"name\" and at least one of \"attributes\"")
 
   defp named(name), do: if(String.trim(name) == "", do: bad("its name is empty"), else: :ok)
 
@@ -82,19 +82,19 @@ defmodule Situ.Annotation.Schema do
   defp distinct(names, kind) do
     case names -- Enum.uniq(names) do
       [] -> :ok
-      [twice | _] -> bad("the #{kind} #{inspect(twice)} is there twice")
+      [twice | _] -> bad("the #{kind} #{inspect(twice)} occurs twice")
     end
   end
 
   defp bad(why) do
     {:error,
-     Error.new(:bad_schema, "this is no annotation schema",
+     Error.new(:bad_schema, "invalid annotation schema",
        why: why,
        fix: "see priv/schema/annotation.schema.json"
      )}
   end
 
-  @doc "The JSON form."
+  @doc "Converts a schema to its JSON form."
   @spec to_json(t()) :: map()
   def to_json(%__MODULE__{} = schema) do
     json = %{
@@ -114,7 +114,7 @@ defmodule Situ.Annotation.Schema do
       {:ok, schema}
     else
       {:error, %Error{} = error} ->
-        {:error, %{error | what: "#{path} is no annotation schema"}}
+        {:error, %{error | what: "#{path} is not an annotation schema"}}
 
       {:error, :bad_json} ->
         bad("#{path} is not JSON")
@@ -141,16 +141,16 @@ defmodule Situ.Annotation.Schema do
     end
   end
 
-  @doc "The attribute of that name, or `nil`."
+  @doc "Returns the attribute with that name, or `nil`."
   @spec attribute(t(), String.t()) :: Attribute.t() | nil
   def attribute(%__MODULE__{} = schema, name),
     do: Enum.find(schema.attributes, &(&1.name == name))
 
-  @doc "The value of every attribute before anybody has said otherwise."
+  @doc "Returns the default value of every attribute."
   @spec defaults(t()) :: %{String.t() => value()}
   def defaults(%__MODULE__{} = schema), do: Map.new(schema.attributes, &{&1.name, &1.default})
 
-  @doc "Whether these values fit. Errors: `:unknown_attribute`, `:bad_value`."
+  @doc "Checks that the values fit the schema. Errors: `:unknown_attribute`, `:bad_value`."
   @spec check(t(), map()) :: :ok | {:error, Error.t()}
   def check(%__MODULE__{} = schema, values) do
     Enum.find_value(values, :ok, fn {name, value} ->
@@ -167,7 +167,7 @@ defmodule Situ.Annotation.Schema do
         nil
 
       {:error, why} ->
-        {:error, Error.new(:bad_value, "not a value of #{inspect(attribute.name)}", why: why)}
+        {:error, Error.new(:bad_value, "invalid value of #{inspect(attribute.name)}", why: why)}
     end
   end
 
@@ -177,11 +177,11 @@ defmodule Situ.Annotation.Schema do
     Error.new(
       :unknown_attribute,
       "schema #{inspect(schema.name)} has no attribute #{inspect(name)}",
-      fix: "it has #{Enum.map_join(known, ", ", &inspect/1)}"
+      fix: "use one of #{Enum.map_join(known, ", ", &inspect/1)}"
     )
   end
 
-  @doc "A value as people write it in a text file, read for its attribute: `\"12.5\"` of a number is `12.5`."
+  @doc "Parses the text of a value for its attribute; `\"12.5\"` becomes `12.5` for a number."
   @spec read(t(), String.t(), String.t()) :: {:ok, value()} | {:error, Error.t()}
   def read(%__MODULE__{} = schema, name, text) do
     case attribute(schema, name) do
@@ -194,7 +194,7 @@ defmodule Situ.Annotation.Schema do
     end
   end
 
-  @doc "The attribute and value that a key sets."
+  @doc "Returns the attribute and value that a key sets."
   @spec by_key(t(), String.t()) :: {:ok, {String.t(), value()}} | :error
   def by_key(%__MODULE__{} = schema, key) do
     Enum.find_value(schema.attributes, :error, fn attribute ->
@@ -204,8 +204,8 @@ defmodule Situ.Annotation.Schema do
   end
 
   @doc """
-  A schema for annotations whose values came without one: text attributes, numbers and booleans where all values are
-  such. Error: `:bad_schema` (attributes without a name, say).
+  Guesses a schema from values: an attribute is a number or boolean if all its values are, and text otherwise. Error:
+  `:bad_schema`, for example for an attribute without a name.
   """
   @spec guess(String.t(), [map()]) :: {:ok, t()} | {:error, Error.t()}
   def guess(name, all_values) do

@@ -1,18 +1,17 @@
 defmodule Situ.Annotation.Segmenting do
   @moduledoc """
-  Streams that say what is the case made into annotation streams.
+  Converts streams of states to annotation streams.
 
-      voice                                    # booleans: one track
+      voice                                    # booleans become one track
       |> Situ.Annotation.Segmenting.from_booleans(track: "P1", values: %{"Speech" => "speaks"})
 
-      speakers                                 # maps %{"P1" => true, "P2" => false}: a track for each key
+      speakers                                 # maps %{"P1" => true, "P2" => false} become a track per key
       |> Situ.Annotation.Segmenting.from_keys(fn key, value -> value && %{"Speech" => key} end)
 
-  An annotation begins with the first message in which its condition holds (for keys: in which the key is there and
-  the function gives values), lasts while the following messages say the same, and ends at the first message in
-  which they do not; it is emitted at that message, whose originating time is its end. An annotation still open when the
-  stream closes ends at the last message and is emitted then. Changed values end an annotation and begin the next,
-  which touches it.
+  An annotation begins with the first message for which its condition is true (for keys: the key exists and the
+  function returns values). It ends at the first message for which the condition is false, and is emitted at that
+  message's originating time. If the values change, the annotation ends and the next one starts at the same time. An
+  annotation that is still open when the stream closes ends at the last message and is emitted then.
   """
   use Situ.Component,
     inputs: [in: :any],
@@ -26,19 +25,19 @@ defmodule Situ.Annotation.Segmenting do
   alias Situ.Annotation
 
   @shared [
-    proposed: [type: :boolean, default: false, doc: "They are proposals."],
+    proposed: [type: :boolean, default: false, doc: "Whether the annotations are proposals."],
     by: [type: {:optional, :string}, doc: "The annotator."],
     name: [type: :string, default: "Segments", doc: "The component's name."]
   ]
   @booleans [
-              track: [type: :string, default: "Track", doc: "The track of all of them."],
-              values: [type: :map, default: %{}, doc: "The values of each."]
+              track: [type: :string, default: "Track", doc: "The track of all annotations."],
+              values: [type: :map, default: %{}, doc: "The values of each annotation."]
             ] ++ @shared
 
   defstruct [:segments, :by, :last, :emitted, proposed: false, open: %{}]
 
   @doc """
-  Intervals while a stream of booleans is true.
+  Emits an annotation for each interval in which a stream of booleans is true.
 
   #{Situ.Options.docs(@booleans)}
   """
@@ -50,8 +49,8 @@ defmodule Situ.Annotation.Segmenting do
   end
 
   @doc """
-  Intervals of the keys of a stream of maps: a track for each key, named by it. `fun.(key, value)` answers the
-  values of the annotation, or `nil` (`false`) where there is none.
+  Emits annotations for the keys of a stream of maps, with a track per key that has the key's name. `fun.(key, value)`
+  returns the values of the annotation, or `nil` (`false`) without an annotation.
 
   #{Situ.Options.docs(@shared)}
   """

@@ -1,20 +1,20 @@
 defmodule Situ.Annotation.Spans do
   @moduledoc """
-  Streams whose messages say from when to when, made into annotation streams: words that are spoken, things that were
-  recognised, results of a service.
+  Converts streams whose messages contain start and end times to annotation streams, such as spoken words, recognized
+  objects or results of a service.
 
-      heard                                      # what somebody said: from, to and text
+      heard                                      # utterances with from, to and text
       |> Situ.Annotation.Spans.annotate(&[{&1.from, &1.to, "Said", %{"Words" => &1.text}}], by: "Moonshine")
 
-  The function answers the spans of a message: `{from, to, track, values}` each. An annotation is emitted at its end,
-  when the stream has come so far; those still ahead when the stream closes, then. A span that begins before the last
-  one of its track has ended begins at that end, since a track holds no two that overlap; one that ends before what was
-  emitted already is left out.
+  The function returns the spans of a message, each as `{from, to, track, values}`. An annotation is emitted at its
+  end time when the stream has reached it, or when the stream closes. Annotations of a track cannot overlap: a span
+  that begins before the previous span of its track has ended is shortened to begin at that end. A span that ends
+  before an annotation that was already emitted is discarded.
 
-  `Situ.Annotation.Schema.text("Words")` is the schema of the example.
+  The schema of the example is `Situ.Annotation.Schema.text("Words")`.
   """
   @shared [
-    proposed: [type: :boolean, default: false, doc: "They are proposals."],
+    proposed: [type: :boolean, default: false, doc: "Whether the annotations are proposals."],
     by: [type: {:optional, :string}, doc: "The annotator."],
     name: [type: :string, default: "Spans", doc: "The component's name."]
   ]
@@ -36,7 +36,7 @@ defmodule Situ.Annotation.Spans do
   defstruct [:spans, :by, :emitted, proposed: false, ends: %{}, ahead: []]
 
   @doc """
-  The annotations in a stream.
+  Emits the spans in a stream's messages as annotations.
 
   #{Situ.Options.docs(@shared)}
   """
@@ -93,7 +93,7 @@ defmodule Situ.Annotation.Spans do
     {actions, %{state | ahead: ahead, emitted: emitted || state.emitted}}
   end
 
-  # Newest first; of two that end together the earlier one is the longer.
+  # The list is newest first. Of two annotations of a track that end together, the earlier one is longer and is kept.
   defp once_a_track(annotations) do
     annotations |> Enum.reverse() |> Enum.uniq_by(& &1.track) |> Enum.sort_by(& &1.track)
   end

@@ -1,15 +1,15 @@
 defmodule Situ.Annotation.Versions do
   @moduledoc false
-  # The versions of a store that an editor and other programs save: read, taken over, followed by the next. The state
-  # is the editor's; of it `base` is the version that its edits are made on, `seen` the newest that was looked at.
+  # Reads, adopts and writes the versions of a store that an editor and other programs save. The state is the editor's
+  # state: `base` is the version that its edits apply to, and `seen` is the newest version that was examined.
   alias Situ.Annotation.{Journal, Layer, Rebase, Recording}
   alias Situ.Dataset.Version
   alias Situ.{Error, Store}
 
-  # How often a version is written again because others saved at the same moment.
+  # The number of attempts to write a version while other programs save at the same time.
   @tries 100
 
-  @doc "The stream of a version, or `nil`; other streams of the store are copied into the next one."
+  @doc "Returns the stream of a version (or `nil`), and its other streams, which are copied to the next version."
   @spec stored(Path.t() | nil, String.t()) ::
           {:ok, Layer.t() | nil, %{String.t() => Layer.t()}} | {:error, Error.t()}
   def stored(nil, _stream), do: {:ok, nil, %{}}
@@ -32,8 +32,8 @@ defmodule Situ.Annotation.Versions do
   end
 
   @doc """
-  The edits of a journal that are still to be made on the version `base`, whose layer of the stream is `mine`: those
-  that were saved are not. Edits that fit neither are kept beside the journal, under another name.
+  Returns the edits of a journal that are not yet in the version `base`, whose layer of the stream is `mine`. Edits
+  that fit neither version are kept next to the journal under another name.
   """
   @spec unsaved(Path.t(), {Path.t() | nil, Layer.t() | nil}, String.t()) ::
           {:ok, [Layer.transaction()]} | {:error, Error.t()}
@@ -63,7 +63,7 @@ defmodule Situ.Annotation.Versions do
     :ok
   end
 
-  # Whether a version after the one they were made on is how they left the stream.
+  # Returns whether a version after `older` contains the result of the transactions.
   defp saved?(older, transactions, base, stream) do
     with {:ok, %Layer{} = layer} <- begun(older, base, stream),
          {:ok, layer} <- replayed(layer, transactions) do
@@ -78,7 +78,7 @@ defmodule Situ.Annotation.Versions do
     end
   end
 
-  # Before the first version there was nothing but the schema.
+  # Before the first version there was only the schema.
   defp begun(nil, base, stream) do
     with {:ok, %Layer{schema: schema}, _} <- stored(base, stream), do: Layer.new(schema)
   end
@@ -118,7 +118,7 @@ defmodule Situ.Annotation.Versions do
     end
   end
 
-  @doc "The state with what another program has saved meanwhile; each version is looked at once."
+  @doc "Updates the state with the version that another program has saved; examines each version only once."
   @spec current(map()) :: {:ok, map()} | {:error, Error.t()}
   def current(%{seen: seen, base: base, path: path} = state) do
     newest = Version.newest(path)
@@ -137,7 +137,7 @@ defmodule Situ.Annotation.Versions do
     end
   end
 
-  # The journal is replaced before anything is answered: a crash in between loses no edit.
+  # The journal is replaced before the call returns, so that a crash in between loses no edit.
   defp rebased(state, mine, %{base: newest, digest: digest} = theirs) do
     with {:ok, transactions} <- Journal.read(state.journal, {state.base, state.digest}),
          {:ok, layer, transactions} <- Rebase.onto(mine, transactions),
@@ -151,8 +151,8 @@ defmodule Situ.Annotation.Versions do
   end
 
   @doc """
-  Writes the state's layer as the next version. Other streams stay as they were saved last, by any program; a version
-  saved in between is read, too.
+  Writes the state's layer as the next version. Other streams keep their last saved state, no matter which program
+  saved it; versions that are saved in the meantime are included.
   """
   @spec write(map()) :: {:ok, map()} | {:error, Error.t()}
   def write(state, tries \\ @tries) do

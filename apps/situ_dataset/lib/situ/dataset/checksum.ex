@@ -1,15 +1,15 @@
 defmodule Situ.Dataset.Checksum do
   @moduledoc """
-  A checksum over all bytes of a recording, by which a study tells years later that its data is what was analysed.
+  Computes a checksum over all bytes of a recording, so that a study can verify its data years after the analysis.
 
-  `sha256:` and the hex digest of the list of files (name, size, digest of the content; sorted by name). A store's
-  lock and marks of running writers are no part of it.
+  The checksum is `sha256:` and the hex digest of the list of files (name, size, digest of the content; sorted by
+  name). Lock files and the marks of running writers are excluded.
   """
   alias Situ.Error
 
   @chunk 1_048_576
 
-  @doc "The checksum of a file or a folder. Error: `:io`, naming the file."
+  @doc "Computes the checksum of a file or a folder. Error: `:io`, which names the file."
   @spec of(Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
   def of(path) do
     with {:ok, files} <- files(path),
@@ -19,8 +19,8 @@ defmodule Situ.Dataset.Checksum do
   end
 
   @doc """
-  Computes the checksums of the recordings of partitions, by path: `{:ok, map}`. Option `progress:`,
-  `fun.(done, total)`.
+  Computes the checksums of the partitions' recordings and returns `{:ok, checksums_by_path}`. Option: `progress:`,
+  which is called as `fun.(done, total)`.
   """
   @spec all([Situ.Dataset.Partition.t()], keyword()) ::
           {:ok, %{Path.t() => String.t()}} | {:error, Error.t()}
@@ -42,7 +42,7 @@ defmodule Situ.Dataset.Checksum do
     end)
   end
 
-  @doc "`:ok` when the recording still has that checksum. Error: `:changed`."
+  @doc "Returns `:ok` if the recording still has that checksum. Error: `:changed`."
   @spec verify(Path.t(), String.t()) :: :ok | {:error, Error.t()}
   def verify(path, checksum) do
     case of(path) do
@@ -51,9 +51,9 @@ defmodule Situ.Dataset.Checksum do
 
       {:ok, now} ->
         {:error,
-         Error.new(:changed, "#{path} is not the recording that the dataset was sealed with",
-           why: "its checksum is #{now}, the dataset says #{checksum}",
-           fix: "restore the recording, or seal the dataset again if the change was meant"
+         Error.new(:changed, "#{path} has changed since the dataset was sealed",
+           why: "its checksum is #{now}, but the dataset contains #{checksum}",
+           fix: "restore the recording, or seal the dataset again if the change was intended"
          )}
 
       error ->
@@ -105,7 +105,7 @@ defmodule Situ.Dataset.Checksum do
   defp io(path, reason) do
     Error.new(:io, "cannot read #{path}",
       why: to_string(:file.format_error(reason)),
-      fix: "check that the recording is there and may be read"
+      fix: "check that the recording exists and is readable"
     )
   end
 end

@@ -1,14 +1,14 @@
 defmodule Situ.Dataset.DatasetFile do
   @moduledoc false
-  # The file of a dataset, which several programs may edit: one at a time, and none overwrites edits it has not
-  # read.
+  # A dataset file that several programs may edit. Only one program edits it at a time, and no program overwrites
+  # edits that it has not read.
   alias Situ.Error
   alias Situ.Store.{AtomicFile, FileLock}
 
-  # Edits take milliseconds. After this time the error names the program that has the file.
+  # Edits take milliseconds. After this time the error names the program that holds the lock.
   @wait_ms 30_000
 
-  @doc "Runs `fun` while no other program edits the file. Error: `:dataset_in_use`."
+  @doc "Runs `fun` with a lock that keeps other programs from editing the file. Error: `:dataset_in_use`."
   @spec lock(Path.t(), (() -> result)) :: result | {:error, Error.t()} when result: term()
   def lock(path, fun) do
     with :ok <- make_folder(path),
@@ -32,18 +32,18 @@ defmodule Situ.Dataset.DatasetFile do
   defp in_use(path, holder) do
     Error.new(:dataset_in_use, "the dataset #{path} is being edited",
       why: FileLock.describe(holder),
-      fix: "end that program or wait for it, and edit again",
+      fix: "wait for that program or quit it, and edit again",
       meta: %{holder: holder}
     )
   end
 
-  @doc "Returns the digest of the text of a dataset file, by which a change is found."
+  @doc "Returns the digest of the text of a dataset file, which detects changes."
   @spec digest(binary()) :: String.t()
   def digest(text), do: :sha256 |> :crypto.hash(text) |> Base.encode16()
 
   @doc """
-  Checks that the file still has this digest, or is gone. A dataset that was never in the file (`nil`) replaces any
-  file.
+  Checks that the file still has this digest or was deleted. A dataset that was never in the file (digest `nil`)
+  replaces any file.
   """
   @spec check_unchanged(Path.t(), String.t() | nil) :: :ok | {:error, Error.t()}
   def check_unchanged(_path, nil), do: :ok
@@ -58,12 +58,12 @@ defmodule Situ.Dataset.DatasetFile do
 
   defp changed(path) do
     Error.new(:dataset_changed, "the dataset #{path} has changed since it was read",
-      why: "another program saved it, and saving now would undo that",
-      fix: "open it again and repeat the edit, or save under another name with `save_as/2`"
+      why: "another program saved it, and saving now would discard those edits",
+      fix: "reopen it and repeat the edit, or save under another name with `save_as/2`"
     )
   end
 
-  @doc "Writes the file, whole or not at all: `{:ok, digest}`."
+  @doc "Writes the file atomically and returns `{:ok, digest}`."
   @spec write(Path.t(), String.t()) :: {:ok, String.t()} | {:error, Error.t()}
   def write(path, text) do
     case AtomicFile.write(path, text) do
@@ -73,9 +73,9 @@ defmodule Situ.Dataset.DatasetFile do
   end
 
   defp not_saved(path, reason) do
-    Error.new(:not_saved, "the dataset cannot be saved to #{path}",
+    Error.new(:not_saved, "cannot save the dataset to #{path}",
       why: to_string(:file.format_error(reason)),
-      fix: "the file has not changed; check the folder, or save elsewhere"
+      fix: "the file was not changed; check the folder, or save to another file"
     )
   end
 end

@@ -2,54 +2,54 @@ defmodule Situ.Dataset.Derivation do
   @options [
     output: [
       type: {:optional, :string},
-      doc: "The new partition's name; without it the pipeline runs for what it does and returns."
+      doc:
+        "The new partition's name. Without it, the pipeline runs only for its effects and its result."
     ],
     overwrite: [
       type: :boolean,
       default: false,
-      doc:
-        "Put the result in the place of a partition of that name; the old recording stays on the disk."
+      doc: "Replace an existing partition of that name; the old recording is not deleted."
     ],
-    store: [type: :string, doc: "The new store's name; default: the output's."],
+    store: [type: :string, doc: "The new store's name. Default: the name of the output."],
     path: [
       type: {:or, [:string, {:fun, 1}]},
       doc:
-        "Its folder, or a function of the session; default: where the session's first partition lies."
+        "The store's folder, or a function of the session. Default: the folder of the session's first partition."
     ],
-    sessions: [type: {:list, :string}, doc: "Only these sessions."],
-    options: [type: :keyword, default: [], doc: "Given to a module's `build/2`."],
+    sessions: [type: {:list, :string}, doc: "Run only these sessions."],
+    options: [type: :keyword, default: [], doc: "Options for a module's `build/2`."],
     pipeline: [
       type: :keyword,
       default: [],
-      doc: "Settings of each pipeline (`Situ.Pipeline`); default: all of it, as fast as possible."
+      doc: "Settings of each pipeline (`Situ.Pipeline`). Default: all data, as fast as possible."
     ],
-    parallel: [type: :pos_integer, default: 1, doc: "So many sessions at once on each node."],
+    parallel: [type: :pos_integer, default: 1, doc: "Number of concurrent sessions on each node."],
     nodes: [
       type: {:list, :atom},
-      doc: "Nodes of the cluster that share these files; default: this one."
+      doc: "Cluster nodes that share these files. Default: this node."
     ],
     on_failure: [
       type: {:in, [:continue, :stop]},
       default: :continue,
-      doc: "Whether the other sessions go on when one fails."
+      doc: "Whether the other sessions continue if one fails."
     ],
     resume: [
       type: :boolean,
       default: true,
-      doc: "Keep what a run of the same output did before it was killed."
+      doc: "Keep the results of an earlier, interrupted run of the same output."
     ],
     progress: [
       type: {:fun, 1},
-      doc: "Called with a `Situ.Dataset.Derivation.Progress`, at most ten times a second."
+      doc: "Called with a `Situ.Dataset.Derivation.Progress` at most ten times a second."
     ],
-    cancel: [type: {:fun, 0}, doc: "Asked ten times a second; `true` ends the run."]
+    cancel: [type: {:fun, 0}, doc: "Called ten times a second; `true` cancels the run."]
   ]
 
   @moduledoc """
-  A pipeline run over every session of a dataset, its output a new partition of each: what is behind
-  `Situ.Dataset.derive/3`.
+  Runs a pipeline over every session of a dataset and stores its output as a new partition of each session. This
+  module implements `Situ.Dataset.derive/3`.
 
-  The pipeline is a function of the pipeline, the session's importer (`Situ.Dataset.Importer`) and an exporter
+  The computation is a function of the pipeline, the session's importer (`Situ.Dataset.Importer`) and an exporter
   (`nil` without `output:`),
 
       fn p, importer, exporter ->
@@ -59,13 +59,13 @@ defmodule Situ.Dataset.Derivation do
         |> Situ.Store.write(exporter, "Loudness")
       end
 
-  or a module with `build/2`, whose options then hold `importer:`, `exporter:` and `session:` besides those of
-  `options:`.
+  or a module with `build/2`, whose options contain `importer:`, `exporter:` and `session:` in addition to the
+  options in `options:`.
 
-  A session's output has its name only when it is whole. A session that fails leaves none, and the others go on; a
-  run that is cancelled leaves what is done. A run that was killed, was cancelled or had failures is taken up by the
-  next one of the same output, which does what is not done: a journal beside the dataset file (`FILE.OUTPUT.run`)
-  says what was done and what was begun.
+  A session's output gets its final name only when it is complete. A failed session leaves no output, and the other
+  sessions continue. A cancelled run keeps the completed sessions. The next run of the same output resumes a run
+  that was killed, cancelled or had failures, and runs only the remaining sessions. A journal next to the dataset
+  file (`FILE.OUTPUT.run`) records which sessions were started and completed.
 
   ## Options
 
@@ -77,7 +77,7 @@ defmodule Situ.Dataset.Derivation do
 
   @tick_ms 100
 
-  @typedoc "Takes a finished partition into the dataset, which this module does not know."
+  @typedoc "Adds a finished partition to the dataset, which this module does not know."
   @type commit ::
           (acc :: term(), Session.t(), Partition.t() ->
              {:ok, acc :: term()} | {:error, Error.t()})
@@ -86,7 +86,7 @@ defmodule Situ.Dataset.Derivation do
   def options, do: @options
 
   @doc """
-  Runs `compute` over `sessions`; `commit` takes each result into `acc`. `file` is the dataset's file, or `nil`.
+  Runs `compute` over `sessions`; `commit` adds each result to `acc`. `file` is the dataset's file or `nil`.
   """
   @spec run([Session.t()], Job.compute(), Path.t() | nil, {term(), commit()}, keyword()) ::
           {:ok, acc :: term(), Report.t()} | {:error, Error.t()}
@@ -115,7 +115,7 @@ defmodule Situ.Dataset.Derivation do
     end
   end
 
-  # In a process of its own: pipelines end with the process that runs them, and their messages meet no others.
+  # Runs in a separate process, so that the pipelines end with it and their messages do not reach the caller.
   defp coordinate(state, order) do
     started = System.monotonic_time()
 
@@ -138,7 +138,7 @@ defmodule Situ.Dataset.Derivation do
      }}
   end
 
-  # Outputs that were whole when the run was killed, and may not be in the dataset yet.
+  # Adds the outputs that were complete when a run was killed, because they may not be in the dataset yet.
   defp recover(sessions, done, acc, commit, opts) do
     sessions
     |> Enum.filter(&(is_map_key(done, &1.name) and File.dir?(done[&1.name])))
@@ -165,9 +165,11 @@ defmodule Situ.Dataset.Derivation do
       :ok
     else
       {:error,
-       Error.new(:partition_exists, "#{length(taken)} sessions have a partition #{inspect(name)}",
+       Error.new(
+         :partition_exists,
+         "#{length(taken)} sessions already have a partition #{inspect(name)}",
          why: "the first is #{inspect(hd(taken))}",
-         fix: "choose another output, or overwrite: true"
+         fix: "choose another output, or pass overwrite: true"
        )}
     end
   end
@@ -177,7 +179,7 @@ defmodule Situ.Dataset.Derivation do
     for _ <- 1..opts[:parallel], node <- nodes, do: node
   end
 
-  # Long sessions count for more.
+  # Sessions are weighted by their duration.
   defp weights(sessions) do
     for session <- sessions do
       {session.name, session |> Session.summary() |> Summary.duration() |> max(1)}
@@ -230,7 +232,7 @@ defmodule Situ.Dataset.Derivation do
 
   defp cancel?(state), do: state.opts[:cancel] != nil and state.opts[:cancel].() == true
 
-  # The pipelines end with the processes that run them.
+  # Each pipeline ends with the process that runs it.
   defp cancel(state) do
     for {pid, _} <- state.running, do: Process.exit(pid, :kill)
     %{state | cancelled?: true, waiting: []}
@@ -256,13 +258,13 @@ defmodule Situ.Dataset.Derivation do
 
   defp outcome(reason, _state) do
     {:failed,
-     Error.new(:session_crashed, "the session's process ended",
+     Error.new(:session_crashed, "the process of the session crashed",
        why: inspect(reason, limit: 10),
-       fix: "see the log; the other sessions are not touched"
+       fix: "see the log; the other sessions are not affected"
      )}
   end
 
-  # A pipeline whose owner was killed still closes its store: the folder goes when it has.
+  # A pipeline whose owner was killed still closes its store, so the folder is deleted after the pipeline has ended.
   defp discard(state, %{job: job, pipeline: pipeline}) do
     if pipeline, do: wait(pipeline.pid)
     Job.discard(job)

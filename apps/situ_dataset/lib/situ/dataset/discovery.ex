@@ -1,8 +1,7 @@
 defmodule Situ.Dataset.Discovery do
   @moduledoc false
-  # A folder of recordings read as a dataset: each folder in it a session, each recording in such a folder (at any
-  # depth) a partition;
-  # recordings that lie in the folder itself are sessions of their own.
+  # Reads a folder of recordings as a dataset: each subfolder is a session, and each recording in a subfolder (at any
+  # depth) is a partition. Each recording directly in the folder is a separate session.
   alias Situ.Dataset.{Names, Partition, Session}
   alias Situ.{Error, Store}
 
@@ -48,7 +47,7 @@ defmodule Situ.Dataset.Discovery do
     {session, [name | taken]}
   end
 
-  # Folders may be called anything.
+  # Folder names may contain characters that are not allowed in names.
   defp legible(name) do
     name
     |> String.chunk(:valid)
@@ -66,8 +65,8 @@ defmodule Situ.Dataset.Discovery do
     end)
   end
 
-  # Stores, files that a reader knows, and folders to look into, by name. Links to folders are not followed: they
-  # may lead in a circle.
+  # Stores, files that a reader can open, and subfolders, by name. Links to folders are not followed, because they may
+  # form a cycle.
   defp entries(folder) do
     stores = MapSet.new(Store.list(folder))
 
@@ -94,7 +93,7 @@ defmodule Situ.Dataset.Discovery do
     end
   end
 
-  # Of the files of a store of \\psi or a JSON store, its catalog stands for all; other JSON is no recording.
+  # A store of \\psi or a JSON store is represented by its catalog file; other JSON files are not recordings.
   defp whole?(path) do
     case Path.extname(path) do
       ".psi" -> String.ends_with?(path, ".Catalog_000000.psi")
@@ -105,8 +104,9 @@ defmodule Situ.Dataset.Discovery do
 
   defp none(root) do
     Error.new(:no_recordings, "no recordings in #{root}",
-      why: "neither a store nor a file that a reader knows lies there or below",
-      fix: "name a folder that holds recordings, or a dataset file"
+      why:
+        "the folder and its subfolders contain neither a store nor a file that a reader can open",
+      fix: "choose a folder that contains recordings, or a dataset file"
     )
   end
 end

@@ -7,8 +7,8 @@ defmodule Situ.Dataset.Document do
          {"name": "p01", "tags": ["pilot"], "metadata": {"participant": "P01"},
           "partitions": [{"name": "Room", "store": "room", "path": "p01/room.0000"}]}]}
 
-  Paths are relative to the file, with forward slashes. Anything else in the file is kept when it is saved.
-  \\psi's own `.pds` files are read (never written): the same tree under other names.
+  Paths are relative to the file and use forward slashes. Saving keeps unknown fields of the file. \\psi's `.pds`
+  files, which have the same structure with other names, are read but never written.
   """
   alias Situ.Dataset.{DatasetFile, Names, Partition, Session, StoredPath}
   alias Situ.Error
@@ -30,7 +30,7 @@ defmodule Situ.Dataset.Document do
     with {:ok, dataset, _digest} <- read_digested(path), do: {:ok, dataset}
   end
 
-  @doc "Reads a dataset file: `{:ok, dataset, digest}`, with the digest of its text."
+  @doc "Reads a dataset file and returns `{:ok, dataset, digest}` with the digest of its text."
   @spec read_digested(Path.t()) :: {:ok, dataset(), String.t()} | {:error, Error.t()}
   def read_digested(path) do
     with {:ok, text} <- text(path) do
@@ -41,7 +41,7 @@ defmodule Situ.Dataset.Document do
     end
   end
 
-  @doc "Whether a file is likely a dataset: by its first bytes, without reading all of it."
+  @doc "Returns whether a file is probably a dataset; reads only its first bytes."
   @spec dataset?(Path.t()) :: boolean()
   def dataset?(path) do
     File.regular?(path) and (Path.extname(path) == ".pds" or json?(path))
@@ -81,17 +81,18 @@ defmodule Situ.Dataset.Document do
   defp refused(path, why) do
     Error.new(:bad_dataset, "#{path} is not a dataset file",
       why: why,
-      fix: "see `Situ.Dataset.Document` for what it holds, or make one with `situ dataset create`"
+      fix:
+        "see `Situ.Dataset.Document` for the format, or create a dataset with `situ dataset create`"
     )
   end
 
-  @doc "A dataset out of the text of a file at `path`: `{:ok, dataset}`, or the reason in words."
+  @doc "Parses the text of the dataset file `path`; returns `{:ok, dataset}`, or the reason in words."
   @spec parse(binary(), Path.t()) :: {:ok, dataset()} | {:error, String.t()}
   def parse(text, path) do
     case Situ.JSON.decode(text) do
       {:ok, %{"sessions" => _} = json} -> ours(json, path)
       {:ok, %{"Sessions" => _} = json} -> psi(json, path)
-      {:ok, _} -> {:error, "it has no \"sessions\""}
+      {:ok, _} -> {:error, "it does not have \"sessions\""}
       {:error, :bad_json} -> {:error, "it is not JSON"}
     end
   catch
@@ -100,12 +101,15 @@ defmodule Situ.Dataset.Document do
 
   defp ours(json, path) do
     if json["version"] not in [nil, @version],
-      do: refuse("its version is #{inspect(json["version"])}; this Situ reads #{@version}")
+      do:
+        refuse(
+          "its version is #{inspect(json["version"])}; this release of Situ reads version #{@version}"
+        )
 
     {:ok, dataset(json, &ours_partition(&1, path), "sessions", "partitions", "name")}
   end
 
-  # Backslashes are those of the Windows that wrote it.
+  # The file was written on Windows, so its paths may contain backslashes.
   defp psi(json, path) do
     {:ok, dataset(json, &psi_partition(&1, path), "Sessions", "Partitions", "Name")}
   end
@@ -180,7 +184,7 @@ defmodule Situ.Dataset.Document do
 
     case names -- Enum.uniq(names) do
       [] -> items
-      [twice | _] -> refuse("it names the #{kind} #{inspect(twice)} twice")
+      [twice | _] -> refuse("it contains the #{kind} #{inspect(twice)} twice")
     end
   end
 
@@ -196,14 +200,14 @@ defmodule Situ.Dataset.Document do
   defp objects(list, place) do
     if is_list(list) and Enum.all?(list, &is_map/1),
       do: list,
-      else: refuse("#{place}: a list of objects belongs there")
+      else: refuse("#{place} must be a list of objects")
   end
 
   defp object(json, key, place) do
     case json[key] do
       nil -> %{}
       %{} = map -> map
-      _ -> refuse("#{key} of #{place} is no object")
+      _ -> refuse("#{key} of #{place} is not an object")
     end
   end
 
@@ -212,7 +216,7 @@ defmodule Situ.Dataset.Document do
 
     if is_list(list) and Enum.all?(list, &is_binary/1),
       do: list,
-      else: refuse("#{key} of #{place}: a list of strings belongs there")
+      else: refuse("#{key} of #{place} must be a list of strings")
   end
 
   defp string(json, key, place, default), do: optional(json, key, place) || default
@@ -224,14 +228,14 @@ defmodule Situ.Dataset.Document do
     case json[key] do
       nil -> nil
       text when is_binary(text) -> text
-      _ -> refuse("#{key} of #{place} is no string")
+      _ -> refuse("#{key} of #{place} is not a string")
     end
   end
 
   @spec refuse(String.t()) :: no_return()
   defp refuse(why), do: throw({:refused, why})
 
-  @doc "The file's text for a dataset that is to lie at `path`."
+  @doc "Encodes a dataset as the text of a file that will be saved as `path`."
   @spec render(dataset() | map(), Path.t()) :: String.t()
   def render(dataset, path) do
     members = [
@@ -272,7 +276,7 @@ defmodule Situ.Dataset.Document do
 
   defp blank?({_, value}), do: value in [nil, [], %{}]
 
-  # Members in the order people want to read them; JSON's own printer sorts by chance.
+  # Writes members in a readable order; the JSON encoder does not define one.
   defp pretty({:object, members}, indent), do: lines("{", members, "}", indent)
   defp pretty([{:object, _} | _] = list, indent), do: lines("[", list, "]", indent)
   defp pretty(value, _indent), do: Situ.JSON.encode(value)

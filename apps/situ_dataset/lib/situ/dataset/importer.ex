@@ -1,14 +1,15 @@
 defmodule Situ.Dataset.Importer do
   @moduledoc """
-  All recordings of a session as one importer of a pipeline.
+  Opens all recordings of a session as one importer of a pipeline.
 
       Situ.Pipeline.run(fn p ->
         importer = Situ.Dataset.Importer.open(p, session)
         Situ.Dataset.Importer.stream(importer, "[Room]:Loudness") |> Situ.each(&IO.inspect/1)
       end)
 
-  Streams are found as in `Situ.Dataset.OpenSession`; each has a reader of its own. Partitions that cannot be opened
-  are left out and named in `importer.session.troubles`; asking for a stream of one raises its error.
+  Stream names are resolved as in `Situ.Dataset.OpenSession`; each stream has its own reader. Partitions that cannot
+  be opened are skipped and listed in `importer.session.troubles`; requesting a stream of such a partition raises
+  its error.
   """
   alias Situ.Dataset.{OpenSession, Session}
   alias Situ.{Error, Pipeline, Store}
@@ -22,7 +23,7 @@ defmodule Situ.Dataset.Importer do
           importers: %{String.t() => Store.Importer.t()}
         }
 
-  @doc "During `build`: opens the session. Options as `Situ.Store.importer/3`."
+  @doc "Opens the session while the pipeline is built. Takes the options of `Situ.Store.importer/3`."
   @spec open(Pipeline.t(), Session.t(), keyword()) :: t()
   def open(%Situ.Graph.Handle{} = p, %Session{} = session, opts \\ []) do
     open = OpenSession.open(session, Keyword.take(opts, [:verify]))
@@ -31,8 +32,9 @@ defmodule Situ.Dataset.Importer do
   end
 
   @doc """
-  A stream of the session, `"Stream"` or `"[Partition]:Stream"`. Options as `Situ.Store.stream/3`; with `or_empty:
-  true` a stream that no partition has is one without messages (an ambiguous name still raises).
+  Returns a stream of the session, `"Stream"` or `"[Partition]:Stream"`. Takes the options of `Situ.Store.stream/3`.
+  With `or_empty: true`, a stream that no partition has becomes a stream without messages; an ambiguous name still
+  raises.
   """
   @spec stream(t(), String.t(), keyword()) :: Situ.Stream.t()
   def stream(%__MODULE__{} = importer, spec, opts \\ []) do
@@ -54,11 +56,11 @@ defmodule Situ.Dataset.Importer do
     end
   end
 
-  @doc "Whether a name means exactly one stream."
+  @doc "Returns whether a name refers to exactly one stream."
   @spec has?(t(), String.t()) :: boolean()
   def has?(%__MODULE__{} = importer, spec), do: OpenSession.has?(importer.session, spec)
 
-  @doc "The importer of one partition. Error: `:no_partition`, or why it cannot be opened."
+  @doc "Returns the importer of one partition. Errors: `:no_partition`, or the error of opening the partition."
   @spec partition(t(), String.t()) :: {:ok, Store.Importer.t()} | {:error, Error.t()}
   def partition(%__MODULE__{} = importer, name) do
     with {:ok, _} <- OpenSession.store(importer.session, name),

@@ -1,14 +1,14 @@
 defmodule Situ.Dataset.JsonStore do
   @moduledoc """
-  \\psi's JSON stores, as recordings: `NAME.Catalog.json` (an array of stream descriptions) beside `NAME.Data.json`
-  (an array of `{"Envelope": {"SourceId", "SequenceId", "OriginatingTime", "Time"}, "Data": ...}`, in the order of
-  time).
+  Reads \\psi's JSON stores as recordings. A store consists of `NAME.Catalog.json` (an array of stream descriptions)
+  and `NAME.Data.json` (an array of `{"Envelope": {"SourceId", "SequenceId", "OriginatingTime", "Time"}, "Data":
+  ...}` in the order of time).
 
       {:ok, store} = Situ.Store.open("notes.Catalog.json")
 
-  Data is what the JSON says: maps with string keys, lists, numbers, text. A message at the left end of an interval
-  is part of it (\\psi's own reader leaves it out). Messages that are no messages, or of no stream in the catalogue,
-  are damage and passed over.
+  Data keeps its JSON form: maps with string keys, lists, numbers and strings. A message at the left end of an
+  interval is included (\\psi's reader excludes it). Invalid messages, and messages of streams that are not in the
+  catalogue, are skipped and reported as damage.
   """
   @behaviour Situ.Store.Reader
 
@@ -65,8 +65,8 @@ defmodule Situ.Dataset.JsonStore do
       nil ->
         {:error,
          Error.new(:unknown_format, "#{path} is not a recording",
-           why: "a JSON store is NAME.Catalog.json beside NAME.Data.json",
-           fix: "name the catalogue; a dataset file opens with `situ dataset`"
+           why: "a JSON store consists of NAME.Catalog.json and NAME.Data.json",
+           fix: "choose the catalogue; dataset files are opened with `situ dataset`"
          )}
     end
   end
@@ -78,25 +78,25 @@ defmodule Situ.Dataset.JsonStore do
       {:ok, list}
     else
       {:ok, %File.Stat{size: size}} ->
-        {:error, damaged(path, "it has #{size} bytes, more than #{@largest}")}
+        {:error, damaged(path, "it has #{size} bytes; the limit is #{@largest}")}
 
       {:ok, _} ->
-        {:error, damaged(path, "it holds no array")}
+        {:error, damaged(path, "it is not an array")}
 
       {:error, :bad_json} ->
-        {:error, damaged(path, "it is not whole JSON")}
+        {:error, damaged(path, "it is not complete JSON")}
 
       {:error, reason} ->
         {:error, damaged(path, to_string(:file.format_error(reason)))}
     end
   end
 
-  # .NET writes a byte order mark now and then.
+  # .NET sometimes writes a byte order mark.
   defp unmarked(<<0xEF, 0xBB, 0xBF, text::binary>>), do: text
   defp unmarked(text), do: text
 
   defp damaged(path, why) do
-    Error.new(:damaged, "the JSON store's file #{path} cannot be read",
+    Error.new(:damaged, "cannot read the JSON store file #{path}",
       why: why,
       fix: "restore the file"
     )
@@ -124,7 +124,7 @@ defmodule Situ.Dataset.JsonStore do
 
   defp text(value), do: if(is_binary(value), do: value)
 
-  # The least and the greatest time of .NET stand for none.
+  # .NET writes its minimum and maximum time if a time is not set.
   defp bound(value, none) do
     with text when is_binary(text) <- value,
          false <- String.starts_with?(text, none),
@@ -164,7 +164,10 @@ defmodule Situ.Dataset.JsonStore do
       |> Enum.split_with(&is_tuple/1)
 
     {messages,
-     for(index <- broken, do: %{file: file, offset: index, why: "entry #{index} is no message"})}
+     for(
+       index <- broken,
+       do: %{file: file, offset: index, why: "entry #{index} is not a message"}
+     )}
   end
 
   defp message(%{"Envelope" => %{"SourceId" => id, "SequenceId" => n} = envelope} = entry)
@@ -192,7 +195,7 @@ defmodule Situ.Dataset.JsonStore do
     do: %{
       file: base <> ".Data.json",
       offset: 0,
-      why: "#{n} messages of source #{id}, which the catalogue lacks"
+      why: "#{n} messages of source #{id}, which is not in the catalogue"
     }
 
   @impl true

@@ -1,6 +1,6 @@
 defmodule Situ.Dataset.Names do
   @moduledoc false
-  # The names of sessions and partitions: unique among their like, and fit for a stream's address "[Partition]:Stream".
+  # The names of sessions and partitions: unique among each other, and valid in a stream address "[Partition]:Stream".
   alias Situ.Error
 
   @longest 200
@@ -14,8 +14,9 @@ defmodule Situ.Dataset.Names do
       :ok
     else
       {:error,
-       Error.new(:bad_name, "not a name for a #{kind}: #{inspect(name)}",
-         fix: "use 1 to #{@longest} printable characters without [ and ], no blank at either end"
+       Error.new(:bad_name, "invalid name for a #{kind}: #{inspect(name)}",
+         fix:
+           "use 1 to #{@longest} printable characters without [ and ], and without blanks at the ends"
        )}
     end
   end
@@ -25,7 +26,7 @@ defmodule Situ.Dataset.Names do
     if Enum.any?(taken, &(&1.name == name)) do
       {:error,
        Error.new(:duplicate_name, "#{place} already has a #{inspect(name)}",
-         why: "names are unique there",
+         why: "names must be unique there",
          fix: "choose another name"
        )}
     else
@@ -42,7 +43,7 @@ defmodule Situ.Dataset.Names do
     end
   end
 
-  @doc "The name, or the name with the first number that makes it unique."
+  @doc "Returns the name, with the first number that makes it unique if it is taken."
   @spec unique(String.t(), [String.t()]) :: String.t()
   def unique(name, taken) do
     if name in taken,
@@ -50,7 +51,7 @@ defmodule Situ.Dataset.Names do
       else: name
   end
 
-  @doc "Whether a name fits a pattern in which `*` stands for any text and `?` for one character."
+  @doc "Returns a function that matches a name to a pattern: `*` matches any text and `?` one character."
   @spec matcher(String.t()) :: (String.t() -> boolean())
   def matcher(pattern) do
     source =
@@ -69,8 +70,8 @@ defmodule Situ.Dataset.Names do
   defp missing(name, known, code, kind, place) do
     fix =
       case {Situ.Options.nearest(to_string(name), known), known} do
-        {nil, []} -> "it has none"
-        {nil, _} -> "it has #{Enum.map_join(Enum.take(known, 8), ", ", &inspect/1)}"
+        {nil, []} -> "it does not have any"
+        {nil, _} -> "use one of #{Enum.map_join(Enum.take(known, 8), ", ", &inspect/1)}"
         {near, _} -> "did you mean #{inspect(near)}?"
       end
 

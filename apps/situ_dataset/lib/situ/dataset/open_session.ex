@@ -1,6 +1,6 @@
 defmodule Situ.Dataset.OpenSession do
   @moduledoc """
-  A session with its recordings open: streams of all partitions by one name.
+  A session with its open recordings: finds the streams of all partitions by name.
 
       {:ok, dataset} = Situ.Dataset.open("study.json")
       {:ok, session} = Situ.Dataset.session(dataset, "p01")
@@ -8,8 +8,8 @@ defmodule Situ.Dataset.OpenSession do
       {:ok, messages} = Situ.Dataset.OpenSession.messages(open, "Room.Loudness", from: t0)
       {:ok, messages} = Situ.Dataset.OpenSession.messages(open, "[Annotation]:Speaker")
 
-  A stream's name is enough where one partition has it; where several do, `"[Partition]:Stream"` says which.
-  Partitions that cannot be opened are in `troubles` and the others are read.
+  A stream's name suffices if only one partition has it; otherwise `"[Partition]:Stream"` selects the partition.
+  Partitions that cannot be opened are listed in `troubles`; the others can be read.
   """
   alias Situ.Dataset.{Names, Partition, Session}
   alias Situ.{Error, Store}
@@ -23,7 +23,7 @@ defmodule Situ.Dataset.OpenSession do
           troubles: [{partition :: String.t(), Error.t()}]
         }
 
-  @doc "Opens every partition that can be opened. Options as `Situ.Store.open/2`."
+  @doc "Opens every partition that can be opened. Takes the options of `Situ.Store.open/2`."
   @spec open(Session.t(), keyword()) :: t()
   def open(%Session{} = session, opts \\ []) do
     Enum.reduce(Enum.reverse(session.partitions), %__MODULE__{session: session}, fn p, open ->
@@ -34,15 +34,15 @@ defmodule Situ.Dataset.OpenSession do
     end)
   end
 
-  @doc "Every stream: `[{partition, Situ.Store.StreamInfo}]`, partition by partition."
+  @doc "Lists the streams of all partitions as `[{partition, Situ.Store.StreamInfo}]`."
   @spec streams(t()) :: [{String.t(), Store.StreamInfo.t()}]
   def streams(%__MODULE__{} = open) do
     for {partition, store} <- open.stores, info <- Store.streams(store), do: {partition, info}
   end
 
   @doc """
-  The shortest name that means this stream here: its own, or `"[Partition]:Stream"` where several partitions have
-  one of that name.
+  Returns the shortest name that refers to this stream: its name, or `"[Partition]:Stream"` if several partitions
+  have a stream of that name.
   """
   @spec address(t(), String.t(), String.t()) :: String.t()
   def address(%__MODULE__{} = open, partition, stream) do
@@ -53,10 +53,10 @@ defmodule Situ.Dataset.OpenSession do
   end
 
   @doc """
-  The partition, store and name of the stream that `spec` means.
+  Returns the partition, store and name of the stream that `spec` refers to.
 
-  Errors: `:no_stream`, `:no_partition`, `:ambiguous_stream` (it says how to qualify), and that of the partition
-  named when it cannot be opened.
+  Errors: `:no_stream`, `:no_partition`, `:ambiguous_stream` (with the qualified names), or the error of opening the
+  named partition.
   """
   @spec find(t(), String.t()) ::
           {:ok, {partition :: String.t(), Store.t(), stream :: String.t()}} | {:error, Error.t()}
@@ -73,18 +73,18 @@ defmodule Situ.Dataset.OpenSession do
     end
   end
 
-  @doc "Whether `spec` means exactly one stream."
+  @doc "Returns whether `spec` refers to exactly one stream."
   @spec has?(t(), String.t()) :: boolean()
   def has?(%__MODULE__{} = open, spec), do: match?({:ok, _}, find(open, spec))
 
-  @doc "The messages of a stream, lazily: `{:ok, enumerable}`. Options as `Situ.Store.messages/3`."
+  @doc "Returns the messages of a stream as `{:ok, lazy_enumerable}`. Takes the options of `Situ.Store.messages/3`."
   @spec messages(t(), String.t(), keyword()) :: {:ok, Enumerable.t()} | {:error, Error.t()}
   def messages(%__MODULE__{} = open, spec, opts \\ []) do
     with {:ok, {_, store, stream}} <- find(open, spec),
          do: {:ok, Store.messages(store, stream, opts)}
   end
 
-  @doc "The open store of a partition."
+  @doc "Returns the open store of a partition."
   @spec store(t(), String.t()) :: {:ok, Store.t()} | {:error, Error.t()}
   def store(%__MODULE__{} = open, partition) do
     stores = for {name, store} <- open.stores, do: %{name: name, store: store}
@@ -115,9 +115,11 @@ defmodule Situ.Dataset.OpenSession do
   defp ambiguous(spec, found) do
     names = Enum.map_join(found, ", ", fn {p, _, s} -> inspect("[#{p}]:#{s}") end)
 
-    Error.new(:ambiguous_stream, "#{inspect(spec)} may mean #{length(found)} streams",
+    Error.new(
+      :ambiguous_stream,
+      "#{inspect(spec)} is ambiguous: it matches #{length(found)} streams",
       why: "several partitions have a stream of that name",
-      fix: "name the partition too: #{names}"
+      fix: "add the partition: #{names}"
     )
   end
 
@@ -126,15 +128,24 @@ defmodule Situ.Dataset.OpenSession do
 
     why =
       case open.troubles do
-        [] -> nil
-        troubles -> "not open: " <> Enum.map_join(troubles, "; ", fn {_, e} -> e.what end)
+        [] ->
+          nil
+
+        troubles ->
+          "partitions that are not open: " <>
+            Enum.map_join(troubles, "; ", fn {_, e} -> e.what end)
       end
 
     fix =
       case Situ.Options.nearest(spec, Enum.uniq(names)) do
-        nil when names == [] -> nil
-        nil -> "it has #{names |> Enum.uniq() |> Enum.take(8) |> Enum.map_join(", ", &inspect/1)}"
-        near -> "did you mean #{inspect(near)}?"
+        nil when names == [] ->
+          nil
+
+        nil ->
+          "use one of #{names |> Enum.uniq() |> Enum.take(8) |> Enum.map_join(", ", &inspect/1)}"
+
+        near ->
+          "did you mean #{inspect(near)}?"
       end
 
     Error.new(

@@ -1,19 +1,18 @@
 defmodule Situ.Dataset.Partition do
   @moduledoc """
-  One recording of a session: a store, or any file that a `Situ.Store.Reader` opens (WAV, CSV, films, MCAP, bags
-  ...).
+  One recording of a session: a store, or any file that a `Situ.Store.Reader` opens (WAV, CSV, video, MCAP, bags ...).
 
-  A partition is a name and a place; nothing is opened until it is asked for, so that a dataset with a missing or
-  damaged recording still opens, lists the others, and says of this one what is wrong (`open/1`).
+  A partition consists of a name and a path, and is opened only when needed. A dataset with a missing or damaged
+  recording therefore still opens and can use the other recordings; `open/1` returns the error of this one.
 
       iex> partition = Situ.Dataset.Partition.new("Video", "/nowhere/lobby.0000")
       iex> {:error, error} = Situ.Dataset.Partition.open(partition)
       iex> error.code
       :no_store
 
-  Fields: `name`, `store` (the recording's own name), `path` (absolute), `reader` (the name of a reader's module or
-  of a reader of \\psi, or `nil` to go by the file), `checksum` (`Situ.Dataset.Checksum`, or `nil`), `metadata` (a
-  JSON object), `extra` (what else the dataset file says of it; kept).
+  Fields: `name`, `store` (the recording's name), `path` (absolute), `reader` (the name of a reader module or of a
+  reader of \\psi; `nil` to detect it from the file), `checksum` (`Situ.Dataset.Checksum` or `nil`), `metadata` (a
+  JSON object), `extra` (unknown fields of the dataset file, which are kept).
   """
   alias Situ.{Error, Store}
   alias Situ.Dataset.{StoredPath, Summary}
@@ -32,8 +31,9 @@ defmodule Situ.Dataset.Partition do
         }
 
   @doc """
-  A partition for the recording at `path`: a store's folder, `ROOT/NAME` for its newest version now, a foreign
-  file, or the address of a recording on another machine (`situ://lab1/lobby`). `name` may be `nil`: then it is the recording's.
+  Builds a partition for the recording at `path`: the folder of a store, `ROOT/NAME` for its current newest version,
+  an external file, or the address of a recording on another machine (`situ://lab1/lobby`). `name` may be `nil` to
+  use the recording's name.
 
   Options: `reader:` (a module), `metadata:`.
   """
@@ -60,7 +60,7 @@ defmodule Situ.Dataset.Partition do
     end
   end
 
-  # The folder named, when it is a store itself.
+  # An existing folder is itself the store.
   defp newest(nil, path), do: path
   defp newest(newest, path), do: if(File.exists?(path), do: path, else: newest)
 
@@ -73,7 +73,7 @@ defmodule Situ.Dataset.Partition do
     end
   end
 
-  # The name after the host; in the query for a socket, whose path takes the place of the host.
+  # The name follows the host. For a socket, whose path replaces the host, the name is in the query.
   defp name_in(address) do
     uri = URI.parse(address)
 
@@ -84,7 +84,7 @@ defmodule Situ.Dataset.Partition do
     end
   end
 
-  @doc "Opens the recording. Options as `Situ.Store.open/2`."
+  @doc "Opens the recording. Takes the options of `Situ.Store.open/2`."
   @spec open(t(), keyword()) :: {:ok, Store.t()} | {:error, Error.t()}
   def open(%__MODULE__{} = partition, opts \\ []) do
     with {:ok, path, reader} <- place(partition) do
@@ -95,24 +95,29 @@ defmodule Situ.Dataset.Partition do
     end
   end
 
-  @doc "Spans, sizes and counts; opens the recording."
+  @doc "Returns time spans, sizes and counts; opens the recording."
   @spec summary(t()) :: {:ok, Summary.t()} | {:error, Error.t()}
   def summary(%__MODULE__{} = partition) do
     with {:ok, store} <- open(partition), do: {:ok, Summary.of(store)}
   end
 
   @doc """
-  Whether the recording can be opened, is whole and is what it was: `:ok`, or the first thing wrong with it.
+  Checks that the recording can be opened, is complete and has not changed; returns `:ok` or the first problem.
 
-  A recording with damage opens and is read (`open/1`); here it counts as an error (`:damaged`).
+  A recording with damage can be opened and read (`open/1`), but this check returns it as an error (`:damaged`).
   """
   @spec check(t()) :: :ok | {:error, Error.t()}
   def check(%__MODULE__{} = partition) do
     with {:ok, store} <- open(partition) do
       case {Store.missing_files(store), Store.info(store)[:damage] || []} do
-        {[], []} -> :ok
-        {[file | _], _} -> {:error, damaged(partition, "#{file} is missing")}
-        {_, damage} -> {:error, damaged(partition, "it has #{length(damage)} damaged places")}
+        {[], []} ->
+          :ok
+
+        {[file | _], _} ->
+          {:error, damaged(partition, "#{file} is missing")}
+
+        {_, damage} ->
+          {:error, damaged(partition, "it is damaged at #{length(damage)} positions")}
       end
     end
   end
@@ -120,7 +125,7 @@ defmodule Situ.Dataset.Partition do
   defp damaged(partition, why) do
     Error.new(:damaged, "partition #{inspect(partition.name)} is damaged",
       why: why,
-      fix: "`situ store verify` lists the damage, `situ store repair` keeps what is sound",
+      fix: "list the damage with `situ store verify`; `situ store repair` keeps the intact data",
       meta: %{path: partition.path}
     )
   end
@@ -130,7 +135,7 @@ defmodule Situ.Dataset.Partition do
     %{error | what: "partition #{inspect(partition.name)}: #{error.what}", meta: meta}
   end
 
-  # Stores of \psi are files NAME.*_000000.psi in a folder that may hold several; its JSON stores are
+  # Stores of \psi are files NAME.*_000000.psi in a folder that may contain several stores. Its JSON stores are
   # NAME.Catalog.json and NAME.Data.json.
   defp place(%{path: path, store: store, reader: reader} = partition) do
     cond do
@@ -144,8 +149,8 @@ defmodule Situ.Dataset.Partition do
     Error.new(
       :no_store,
       "partition #{inspect(partition.name)}: no recording at #{partition.path}",
-      why: "the path is absolute and of another system",
-      fix: "put the recording beside the dataset file and name it with a relative path"
+      why: "the path is an absolute path of another operating system",
+      fix: "copy the recording to the folder of the dataset file and use a relative path"
     )
   end
 
@@ -158,7 +163,7 @@ defmodule Situ.Dataset.Partition do
     end
   end
 
-  # A name out of a file makes no atom and names no module but a reader.
+  # A name from a file must not create an atom, and may only name a reader module.
   defp reader(nil), do: {:ok, []}
 
   defp reader(name) do
@@ -168,16 +173,17 @@ defmodule Situ.Dataset.Partition do
     end
   end
 
-  # The .NET type names of \psi's readers: the file tells which reader of ours it is.
+  # For the .NET type names of \psi's readers, Situ detects its own reader from the file.
   defp foreign_reader?(name), do: name =~ ~r/StreamReader\b/ or name =~ ~r/, /
 
   defp unknown(name) do
     known = Enum.map_join(Store.Formats.all(), ", ", &inspect/1)
 
     {:error,
-     Error.new(:unknown_reader, "there is no reader #{inspect(name)}",
-       why: "readers here: #{known}",
-       fix: "load the application that brings it, or take the reader out to go by the file"
+     Error.new(:unknown_reader, "unknown reader #{inspect(name)}",
+       why: "the available readers are #{known}",
+       fix:
+         "load the application that provides it, or remove the reader to detect it from the file"
      )}
   end
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.Server do
   @moduledoc """
-  A dataset shared by several users: one process holds it, edits go through it one after another, subscribers are told
-  of changes.
+  Shares a dataset between several users: one process holds it, applies edits one after another, and notifies
+  subscribers of changes.
 
       iex> {:ok, dataset} = Situ.Dataset.new("Study")
       iex> {:ok, server} = Situ.Dataset.Server.start_link(dataset: dataset)
@@ -10,10 +10,10 @@ defmodule Situ.Dataset.Server do
       iex> receive do {:situ_dataset, ^server, changes} -> changes end
       [:dataset, {:session_added, "p01"}]
 
-  Options of `start_link/1`: `dataset:` (required), and those of a GenServer (`name:`). A change is `:dataset`
-  (always the first: something in it has changed), `{:session_added, name}`, `{:session_removed, name}` or
-  `{:session, name}`; a session renamed or moved gives both `{:session, new}` and `{:session_removed, old}`. It
-  ends with its supervisor; nothing unsaved is written then, so use `autosave: true` where that matters.
+  Options of `start_link/1`: `dataset:` (required) and GenServer options such as `name:`. A change is `:dataset`
+  (always the first: any part of the dataset has changed), `{:session_added, name}`, `{:session_removed, name}` or
+  `{:session, name}`. Renaming or moving a session produces both `{:session, new}` and `{:session_removed, old}`.
+  The process ends with its supervisor without saving; use `autosave: true` if edits must not be lost.
   """
   use GenServer
   alias Situ.{Dataset, Error}
@@ -24,31 +24,31 @@ defmodule Situ.Dataset.Server do
           | {:session_added, String.t()}
           | {:session_removed, String.t()}
 
-  @doc "Starts it."
+  @doc "Starts the server."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts) do
     {%Dataset{} = dataset, opts} = Keyword.pop!(opts, :dataset)
     GenServer.start_link(__MODULE__, dataset, opts)
   end
 
-  @doc "The dataset as it is now."
+  @doc "Returns the current dataset."
   @spec get(GenServer.server()) :: Dataset.t()
   def get(server), do: GenServer.call(server, :get)
 
   @doc """
-  Changes it by a function `dataset -> {:ok, dataset} | {:error, error}`; a function that raises changes nothing
-  (`:edit_failed`).
+  Changes the dataset with a function `dataset -> {:ok, dataset} | {:error, error}`. If the function raises, nothing
+  changes (`:edit_failed`).
   """
   @spec edit(GenServer.server(), (Dataset.t() -> Dataset.result()), timeout()) :: Dataset.result()
   def edit(server, fun, timeout \\ 60_000) when is_function(fun, 1),
     do: GenServer.call(server, {:edit, fun}, timeout)
 
-  @doc "From now on the caller gets `{:situ_dataset, server_pid, [change]}` after every edit, until it ends."
+  @doc "Subscribes the calling process to `{:situ_dataset, server_pid, [change]}`, which is sent after every edit."
   @spec subscribe(GenServer.server()) :: :ok
   def subscribe(server), do: GenServer.call(server, {:subscribe, self()})
 
   @doc """
-  The differences between two states of a dataset.
+  Returns the differences between two states of a dataset.
 
       iex> {:ok, one} = Situ.Dataset.new("Study")
       iex> {:ok, one} = Situ.Dataset.add_session(one, "a")
@@ -98,21 +98,21 @@ defmodule Situ.Dataset.Server do
     end
   end
 
-  # The border to a function from outside: the dataset of the others outlives it.
+  # The function comes from the caller: an exception in it must not lose the edits of other users.
   defp edited(fun, dataset) do
     case fun.(dataset) do
       {:ok, %Dataset{} = dataset} -> {:ok, dataset}
       {:error, %Error{}} = error -> error
-      other -> {:error, failed("it answered #{inspect(other, limit: 5)}")}
+      other -> {:error, failed("it returned #{inspect(other, limit: 5)}")}
     end
   rescue
     exception -> {:error, failed(Exception.message(exception))}
   end
 
   defp failed(why) do
-    Error.new(:edit_failed, "the edit of the dataset failed",
+    Error.new(:edit_failed, "cannot apply the edit to the dataset",
       why: why,
-      fix: "answer {:ok, dataset}"
+      fix: "return {:ok, dataset} from the function"
     )
   end
 

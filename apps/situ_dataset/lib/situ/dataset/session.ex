@@ -9,8 +9,8 @@ defmodule Situ.Dataset.Session do
       iex> error.code
       :duplicate_name
 
-  `metadata` is free (a JSON object: participant, condition, notes ...), `tags` are words to select sessions by.
-  Read a session's streams with `Situ.Dataset.OpenSession`, in a pipeline with `Situ.Dataset.Importer`.
+  `metadata` is any JSON object (participant, condition, notes ...), and `tags` are words for selecting sessions.
+  Read a session's streams with `Situ.Dataset.OpenSession`, or in a pipeline with `Situ.Dataset.Importer`.
   """
   alias Situ.Dataset.{Names, Partition, Summary}
   alias Situ.Error
@@ -26,12 +26,12 @@ defmodule Situ.Dataset.Session do
           extra: map()
         }
 
-  @doc "An empty session; options `metadata:`, `tags:`."
+  @doc "Builds an empty session. Options: `metadata:`, `tags:`."
   @spec new(String.t(), keyword()) :: t()
   def new(name, opts \\ []) when is_binary(name),
     do: %__MODULE__{name: name, metadata: opts[:metadata] || %{}, tags: opts[:tags] || []}
 
-  @doc "Adds a partition behind the others. Errors: `:duplicate_name`, `:bad_name`."
+  @doc "Appends a partition. Errors: `:duplicate_name`, `:bad_name`."
   @spec add(t(), Partition.t()) :: {:ok, t()} | {:error, Error.t()}
   def add(%__MODULE__{} = session, %Partition{} = partition) do
     with :ok <- Names.check(partition.name, "partition"),
@@ -40,7 +40,7 @@ defmodule Situ.Dataset.Session do
     end
   end
 
-  @doc "Puts `partition` in the place of the one of its name."
+  @doc "Replaces the partition that has the same name."
   @spec replace(t(), Partition.t()) :: {:ok, t()} | {:error, Error.t()}
   def replace(%__MODULE__{} = session, %Partition{} = partition) do
     with {:ok, _} <- partition(session, partition.name) do
@@ -49,14 +49,14 @@ defmodule Situ.Dataset.Session do
     end
   end
 
-  @doc "Takes a partition out of the session; the recording stays where it is."
+  @doc "Removes a partition from the session; the recording is not deleted."
   @spec remove(t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
   def remove(%__MODULE__{} = session, name) do
     with {:ok, found} <- partition(session, name),
          do: {:ok, %{session | partitions: List.delete(session.partitions, found)}}
   end
 
-  @doc "Gives a partition another name."
+  @doc "Renames a partition."
   @spec rename_partition(t(), String.t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
   def rename_partition(%__MODULE__{} = session, from, to) do
     with {:ok, found} <- partition(session, from),
@@ -67,12 +67,12 @@ defmodule Situ.Dataset.Session do
     end
   end
 
-  @doc "The partition of that name. Error: `:no_partition`, with the nearest name."
+  @doc "Returns the partition with that name. Error: `:no_partition`, which suggests the nearest name."
   @spec partition(t(), String.t()) :: {:ok, Partition.t()} | {:error, Error.t()}
   def partition(%__MODULE__{} = session, name),
     do: Names.fetch(session.partitions, name, :no_partition, "partition", place(session))
 
-  @doc "Spans, sizes and counts over all partitions; those that cannot be read are counted as `unknown`."
+  @doc "Returns time spans, sizes and counts over all partitions; unreadable partitions are counted as `unknown`."
   @spec summary(t()) :: Summary.t()
   def summary(%__MODULE__{} = session) do
     session.partitions
@@ -85,7 +85,7 @@ defmodule Situ.Dataset.Session do
     |> Summary.sum()
   end
 
-  @doc "Missing and damaged recordings: `[{partition_name, error}]`, empty when all open and are complete."
+  @doc "Lists missing and damaged recordings as `[{partition_name, error}]`."
   @spec troubles(t()) :: [{String.t(), Error.t()}]
   def troubles(%__MODULE__{} = session) do
     for partition <- session.partitions,

@@ -1,20 +1,20 @@
 defmodule Situ.Dataset.StoredPath do
   @moduledoc """
-  How a dataset file writes down where a recording lies: relative to itself, so that file and recordings move
-  together.
+  Converts paths of recordings to the form stored in a dataset file, which is relative to the file, so that the file
+  and its recordings can be moved together.
 
       iex> Situ.Dataset.StoredPath.to_stored("/study/p01/lobby.0000", "/study/study.json")
       "p01/lobby.0000"
       iex> Situ.Dataset.StoredPath.from_stored("../old/lobby.0000", "/study/study.json")
       "/old/lobby.0000"
 
-  The address of a recording on another machine stays as it is:
+  The address of a recording on another machine is not changed:
 
       iex> Situ.Dataset.StoredPath.to_stored("situ://lab1/lobby", "/study/study.json")
       "situ://lab1/lobby"
 
-  A dataset file whose own path is of the Windows kind (`C:\\\\...` or `\\\\\\\\host\\\\share\\\\...`) gets Windows
-  paths, which is how the files of \\\\psi are written; a path on another drive or share stays absolute:
+  If the path of the dataset file is a Windows path (`C:\\\\...` or `\\\\\\\\host\\\\share\\\\...`), Windows paths are
+  stored, as in the files of \\\\psi. A path on another drive or share stays absolute:
 
       iex> Situ.Dataset.StoredPath.to_stored("D:\\\\runs\\\\a", ~S(C:\\study\\study.pds))
       "D:\\\\runs\\\\a"
@@ -22,11 +22,11 @@ defmodule Situ.Dataset.StoredPath do
       "C:\\\\a"
   """
 
-  @typedoc "Root (\"\" when relative) and segments."
+  @typedoc "Root (\"\" if the path is relative) and segments."
   @type parts :: {root :: String.t(), [String.t()]}
 
   @doc """
-  The form in which the dataset file at `dataset_file` holds `path`; a relative path stays as it is spelt.
+  Returns the form of `path` that the dataset file `dataset_file` stores; a relative path keeps its spelling.
   """
   @spec to_stored(Path.t(), Path.t()) :: String.t()
   def to_stored(path, dataset_file),
@@ -49,7 +49,7 @@ defmodule Situ.Dataset.StoredPath do
     end
   end
 
-  @doc "The absolute path that the dataset file at `dataset_file` means by `stored`."
+  @doc "Returns the absolute path of the path `stored` in the dataset file `dataset_file`."
   @spec from_stored(String.t(), Path.t()) :: Path.t()
   def from_stored(stored, dataset_file),
     do: if(address?(stored), do: stored, else: absolute(stored, dataset_file))
@@ -65,7 +65,7 @@ defmodule Situ.Dataset.StoredPath do
   end
 
   @doc """
-  A path out of a file that was written on Windows, for this system: backslashes divide.
+  Converts a path from a file that was written on Windows: backslashes become slashes.
 
       iex> Situ.Dataset.StoredPath.portable(~S(Session1\\Robot.0000))
       "Session1/Robot.0000"
@@ -73,11 +73,11 @@ defmodule Situ.Dataset.StoredPath do
   @spec portable(String.t()) :: String.t()
   def portable(path), do: String.replace(path, "\\", "/")
 
-  @doc "Whether it is an address (`situ://lab1/lobby`) and no path."
+  @doc "Returns whether the text is an address (`situ://lab1/lobby`) rather than a path."
   @spec address?(String.t()) :: boolean()
   def address?(path), do: path =~ ~r/\A[a-z][a-z0-9+.-]+:\/\//
 
-  @doc "Whether a path names a Windows drive or share."
+  @doc "Returns whether a path starts with a Windows drive or share."
   @spec windows?(String.t()) :: boolean()
   def windows?(path), do: path =~ ~r/\A([A-Za-z]:([\\\/]|\z)|\\\\)/
 
@@ -112,7 +112,7 @@ defmodule Situ.Dataset.StoredPath do
 
   defp split(text, separators), do: String.split(text, separators, trim: true)
 
-  # A path from the root of "this drive": the drive of the dataset file.
+  # A path that starts at the root of the current drive is on the drive of the dataset file.
   defp rooted("\\", base_root), do: base_root
   defp rooted(root, _base_root), do: root
 

@@ -1,14 +1,14 @@
 defmodule Situ.Dataset.Summary do
   @moduledoc """
-  Spans, sizes and counts of a partition, a session or a dataset; those of a group are the coverage and the sums of
-  its members.
+  Time spans, sizes and counts of a partition, a session or a dataset. A summary of several contains the coverage of
+  their spans and the sums of the other fields.
 
-    * `originating`, `creation`: the spans of originating and creation times, `Situ.Interval`, empty without
-      messages
-    * `streams_open`: the span from the first stream's opening to the last one's close (ns; what \\psi calls the
-      stream interval)
+    * `originating`, `creation`: the spans of the originating and creation times (`Situ.Interval`), empty if there
+      are no messages
+    * `streams_open`: the span from the first opening of a stream to the last close of a stream (ns; \\psi calls it
+      the stream interval)
     * `size`: payload bytes; `streams`, `messages`: counts
-    * `unknown`: how many partitions could not be read and are left out
+    * `unknown`: number of partitions that could not be read and are not included
 
       iex> a = %Situ.Dataset.Summary{originating: Situ.Interval.closed(10, 20), size: 3, streams: 1, messages: 2}
       iex> b = %Situ.Dataset.Summary{originating: Situ.Interval.closed(40, 50), size: 4, streams: 2, messages: 1}
@@ -36,7 +36,7 @@ defmodule Situ.Dataset.Summary do
           unknown: non_neg_integer()
         }
 
-  @doc "Of an open recording."
+  @doc "Summarizes an open recording."
   @spec of(Store.t()) :: t()
   def of(%Store.Handle{} = store) do
     streams = Store.streams(store)
@@ -51,11 +51,11 @@ defmodule Situ.Dataset.Summary do
     }
   end
 
-  @doc "Of one that cannot be read."
+  @doc "Returns the summary of a recording that cannot be read."
   @spec unknown() :: t()
   def unknown, do: %__MODULE__{unknown: 1}
 
-  @doc "Of several: coverage of the spans, sums of the rest."
+  @doc "Combines several summaries: the coverage of the spans and the sums of the other fields."
   @spec sum([t()]) :: t()
   def sum(summaries) do
     total = fn field -> summaries |> Enum.map(&Map.fetch!(&1, field)) |> Enum.sum() end
@@ -72,7 +72,7 @@ defmodule Situ.Dataset.Summary do
     }
   end
 
-  @doc "From the first to the last originating time, ns."
+  @doc "Returns the time (ns) from the first to the last originating time."
   @spec duration(t()) :: Situ.Time.duration()
   def duration(%__MODULE__{originating: interval}), do: Interval.span(interval)
 

@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.Task do
   @moduledoc """
-  A batch task: a pipeline over the sessions of a dataset that has a name, a description and an options schema, so
-  that the command line (`situ task`) and the studio can list it, ask for its options and run it.
+  A batch task: a pipeline over the sessions of a dataset with a name, a description and an options schema. The
+  command line (`situ task`) and the studio list tasks, ask for their options and run them.
 
       defmodule Loudness do
         @behaviour Situ.Dataset.Task
@@ -10,9 +10,9 @@ defmodule Situ.Dataset.Task do
         def task do
           %{
             name: "loudness",
-            about: "the loudness of a sound stream",
+            about: "the loudness of an audio stream",
             output: "Loudness",
-            options: [stream: [type: :string, default: "Audio", doc: "The sound."]]
+            options: [stream: [type: :string, default: "Audio", doc: "The audio stream."]]
           }
         end
 
@@ -22,13 +22,14 @@ defmodule Situ.Dataset.Task do
         end
       end
 
-  `build/2` gets the task's own options and those of every session: `open:` (a function from a stream's name to the
-  stream), `has:` (whether there is one), `streams:` (`[{partition, Situ.Store.StreamInfo}]`,
-  without those of a partition that this run replaces), `folder:` (where the
-  session's first recording lies), `write:` (a function of a stream and a name, that records it), `exporter:` (`nil`
-  when `output` is), `session:`. It names nothing of this application, so a task may live in any.
+  `build/2` receives the task's options and these options of every session: `open:` (a function from a stream's name
+  to the stream), `has:` (a function that returns whether the stream exists), `streams:` (`[{partition,
+  Situ.Store.StreamInfo}]`, without the streams of a partition that this run replaces), `folder:` (the folder of the
+  session's first recording), `write:` (a function of a stream and a name that records the stream), `exporter:`
+  (`nil` if `output` is `nil`) and `session:`. A task does not refer to modules of this application, so it may be in
+  any application.
 
-  An application brings its tasks in `application/0` of its `mix.exs`: `env: [dataset_tasks: [Loudness]]`.
+  An application registers its tasks in `application/0` of its `mix.exs`: `env: [dataset_tasks: [Loudness]]`.
   """
   alias Situ.{Error, Options}
 
@@ -39,12 +40,12 @@ defmodule Situ.Dataset.Task do
           options: Options.schema()
         }
 
-  @doc "The task's description."
+  @doc "Returns the task's description."
   @callback task() :: t()
   @doc "Builds the pipeline of one session."
   @callback build(Situ.Graph.Handle.t(), keyword()) :: term()
 
-  @doc "The modules of all tasks, by name."
+  @doc "Returns the modules of all tasks, sorted by the tasks' names."
   @spec all() :: [module()]
   def all do
     for {app, _, _} <- Application.loaded_applications(),
@@ -54,7 +55,7 @@ defmodule Situ.Dataset.Task do
     |> Enum.sort_by(& &1.task().name)
   end
 
-  @doc "The task of that name. Error: `:no_task`, with the nearest name."
+  @doc "Returns the module of the task with that name. Error: `:no_task`, which suggests the nearest name."
   @spec fetch(String.t()) :: {:ok, module()} | {:error, Error.t()}
   def fetch(name) do
     case Enum.find(all(), &(&1.task().name == name)) do
@@ -63,8 +64,9 @@ defmodule Situ.Dataset.Task do
         near = Options.nearest(name, names)
 
         {:error,
-         Error.new(:no_task, "there is no task #{inspect(name)}",
-           fix: if(near, do: "did you mean #{near}?", else: "there are #{Enum.join(names, ", ")}")
+         Error.new(:no_task, "task #{inspect(name)} does not exist",
+           fix:
+             if(near, do: "did you mean #{near}?", else: "use one of #{Enum.join(names, ", ")}")
          )}
 
       module ->
@@ -73,8 +75,8 @@ defmodule Situ.Dataset.Task do
   end
 
   @doc """
-  A saved configuration (a JSON object of the task's options) as options, checked. Errors: `:unknown_option`,
-  `:bad_option`.
+  Converts a saved configuration (a JSON object of the task's options) to options and checks them. Errors:
+  `:unknown_option`, `:bad_option`.
 
       iex> schema = [rate: [type: :pos_integer, default: 10], mode: [type: {:in, [:fast, :exact]}]]
       iex> Situ.Dataset.Task.options(schema, %{"mode" => "exact"})
@@ -99,12 +101,12 @@ defmodule Situ.Dataset.Task do
 
   defp unknown(name, schema) do
     Error.new(:unknown_option, "the task has no option #{inspect(name)}",
-      fix: "it has #{Enum.map_join(schema, ", ", fn {key, _} -> Atom.to_string(key) end)}"
+      fix: "use one of #{Enum.map_join(schema, ", ", fn {key, _} -> Atom.to_string(key) end)}"
     )
   end
 
-  # JSON has no atoms: of a choice the one that is so called is meant. A whole number does for a float, 90.0 for
-  # 90, and one text for a list of them.
+  # JSON has no atoms, so a string selects the choice of that name. An integer is accepted for a float, 90.0 for 90,
+  # and a single string for a list of strings.
   defp read({:in, choices}, text) when is_binary(text),
     do: Enum.find(choices, text, &(to_string(&1) == text))
 

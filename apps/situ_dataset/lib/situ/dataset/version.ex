@@ -1,17 +1,17 @@
 defmodule Situ.Dataset.Version do
   @moduledoc false
-  # An unfinished store lies in a folder that no program takes for a store; complete, it becomes the next version
-  # ROOT/NAME.NNNN.
+  # An unfinished store is in a folder that no program recognizes as a store; when complete, it becomes the next
+  # version ROOT/NAME.NNNN.
   alias Situ.{Error, Store}
   alias Situ.Store.AtomicFile
 
   @suffix ".unfinished"
 
-  @doc "A folder for a store that is to become a version of `ROOT/NAME`."
+  @doc "Returns the folder for a store that will become a version of `ROOT/NAME`."
   @spec draft(Path.t()) :: Path.t()
   def draft(path), do: "#{path}.#{System.pid()}-#{System.unique_integer([:positive])}#{@suffix}"
 
-  @doc "Gives a whole store its name; a number that another process took meanwhile is followed by the next."
+  @doc "Renames a complete store to the next version; tries the next number if another process has taken it."
   @spec publish(Path.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def publish(draft, path) do
     with {:error, %Error{code: :newer_version}} <- publish_after(draft, path, newest(path)),
@@ -19,8 +19,8 @@ defmodule Situ.Dataset.Version do
   end
 
   @doc """
-  Makes it the version that follows `base` (a folder, `nil` for the first). Error: `:newer_version` when there is one
-  already; then the draft is still a draft.
+  Renames a complete store to the version after `base` (a folder; `nil` for the first version). Returns the error
+  `:newer_version` if that version exists; the draft is then unchanged.
   """
   @spec publish_after(Path.t(), Path.t(), Path.t() | nil) ::
           {:ok, Path.t()} | {:error, Error.t()}
@@ -28,31 +28,31 @@ defmodule Situ.Dataset.Version do
     number = base |> number() |> Kernel.+(1) |> Integer.to_string()
     folder = "#{path}.#{String.pad_leading(number, 4, "0")}"
 
-    # An empty folder would be replaced, and is not a version.
+    # Renaming would replace an empty folder, which is not a version.
     with :ok <- AtomicFile.sync_files(draft), :ok <- AtomicFile.rename(draft, folder) do
       {:ok, folder}
     else
       {:error, reason} when reason in [:eexist, :enotempty] ->
         {:error,
-         Error.new(:newer_version, "#{folder} is there already",
-           why: "another process saved meanwhile",
-           fix: "read it and save again"
+         Error.new(:newer_version, "#{folder} already exists",
+           why: "another process has saved a newer version",
+           fix: "read that version and save again"
          )}
 
       {:error, reason} ->
         {:error,
-         Error.new(:not_saved, "cannot give #{draft} its name",
+         Error.new(:not_saved, "cannot rename #{draft} to its final name",
            why: to_string(:file.format_error(reason)),
-           fix: "rename the folder to #{folder}; the store in it is whole"
+           fix: "rename the folder to #{folder}; the store in it is complete"
          )}
     end
   end
 
-  @doc "The folder of the newest version of `ROOT/NAME`; `nil` before the first."
+  @doc "Returns the folder of the newest version of `ROOT/NAME`, or `nil` before the first version."
   @spec newest(Path.t()) :: Path.t() | nil
   def newest(path), do: Store.newest(Path.basename(path), Path.dirname(path))
 
-  @doc "Deletes a draft that became nothing; anything else is left alone."
+  @doc "Deletes a draft that was not published; other folders are never deleted."
   @spec discard(Path.t()) :: :ok
   def discard(path) do
     if String.ends_with?(path, @suffix), do: File.rm_rf(path)

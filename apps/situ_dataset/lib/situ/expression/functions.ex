@@ -1,6 +1,6 @@
 defmodule Situ.Expression.Functions do
   @moduledoc false
-  # The functions of the language, total as its operators are.
+  # The functions of the language; like its operators, they are total.
   alias Situ.Expression.Value
 
   @arities %{
@@ -31,7 +31,7 @@ defmodule Situ.Expression.Functions do
     "age" => [1]
   }
 
-  @doc "How many arguments a function takes, or nil where there is none of that name."
+  @doc "Returns the numbers of arguments that a function accepts, or nil if the function does not exist."
   @spec arities(String.t()) :: [pos_integer()] | nil
   def arities(name), do: Map.get(@arities, name)
 

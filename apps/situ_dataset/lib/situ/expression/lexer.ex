@@ -1,6 +1,6 @@
 defmodule Situ.Expression.Lexer do
   @moduledoc false
-  # Text into tokens `{kind, value, position}`, positions counted in characters from 1.
+  # Splits text into tokens `{kind, value, position}`; positions are counted in characters from 1.
 
   @operators ~w(== != <= >= < > + - * / % . , \( \) [ ])
   @words ~w(and or not in true false null)
@@ -41,7 +41,7 @@ defmodule Situ.Expression.Lexer do
         scan(rest, at + used, [{kind, value, at} | done])
 
       :error ->
-        {:error, at, "what begins with #{<<quote>>} has no end"}
+        {:error, at, "the closing #{<<quote>>} is missing"}
     end
   end
 
@@ -75,7 +75,7 @@ defmodule Situ.Expression.Lexer do
   defp operator(text, at, done) do
     case Enum.find(@operators, &String.starts_with?(text, &1)) do
       nil ->
-        {:error, at, "#{inspect(String.first(text))} means nothing here"}
+        {:error, at, "unexpected character #{inspect(String.first(text))}"}
 
       operator ->
         size = byte_size(operator)
@@ -86,7 +86,7 @@ defmodule Situ.Expression.Lexer do
     end
   end
 
-  # A quote inside is written twice.
+  # A quotation mark inside is written twice.
   defp quoted(<<q, q, rest::binary>>, q, value, used),
     do: quoted(rest, q, value <> <<q>>, used + 2)
 
@@ -106,7 +106,7 @@ defmodule Situ.Expression.Lexer do
     else
       :error ->
         {:error,
-         "#{inspect(unit)} is no unit of time (#{@units |> Map.keys() |> Enum.sort() |> Enum.join(", ")})"}
+         "#{inspect(unit)} is not a unit of time (#{@units |> Map.keys() |> Enum.sort() |> Enum.join(", ")})"}
 
       error ->
         error
@@ -124,7 +124,7 @@ defmodule Situ.Expression.Lexer do
     end
   end
 
-  # 1e999 is none.
+  # A number such as 1e999 is not a float.
   defp float(text) do
     {x, ""} = Float.parse(text)
     {:ok, x}

@@ -1,6 +1,6 @@
 defmodule Situ.Expression.Parser do
   @moduledoc false
-  # Tokens into a tree, by the grammar of docs/guides/expressions.md: each level of precedence a function.
+  # Parses tokens to a tree by the grammar of docs/guides/expressions.md, with one function per precedence level.
   alias Situ.Expression.{Functions, Lexer}
 
   @most 1_000
@@ -30,7 +30,7 @@ defmodule Situ.Expression.Parser do
   defp whole(tokens) do
     case disjunction(tokens, 0) do
       {tree, [{:end, _, _}]} -> {:ok, tree}
-      {_, [token | _]} -> refuse(token, "#{shown(token)} does not belong here")
+      {_, [token | _]} -> refuse(token, "unexpected #{shown(token)}")
     end
   end
 
@@ -44,7 +44,7 @@ defmodule Situ.Expression.Parser do
 
   defp negation(tokens, depth), do: comparison(tokens, depth)
 
-  # One comparison: 1 < x < 3 is said with "and".
+  # Comparisons cannot be chained: 1 < x < 3 must be written with "and".
   defp comparison(tokens, depth) do
     case sum(tokens, depth) do
       {a, [{:operator, operator, _} | rest]}
@@ -90,7 +90,7 @@ defmodule Situ.Expression.Parser do
     do: postfix({:member, tree, name}, rest, depth)
 
   defp postfix(_tree, [{:operator, ".", _}, token | _], _depth),
-    do: refuse(token, "the name of a member belongs behind the point")
+    do: refuse(token, "expected the name of a field after the dot")
 
   defp postfix(tree, [{:operator, "[", at} | rest], depth) do
     {index, rest} = disjunction(rest, deeper(depth, at))
@@ -124,10 +124,10 @@ defmodule Situ.Expression.Parser do
   end
 
   defp primary([{:end, _, at} | _], _depth),
-    do: throw({:refused, at, "a value belongs here, and the text ends"})
+    do: throw({:refused, at, "expected a value, found the end of the expression"})
 
   defp primary([token | _], _depth),
-    do: refuse(token, "a value belongs here, not #{shown(token)}")
+    do: refuse(token, "expected a value, found #{shown(token)}")
 
   defp items([{:operator, close, _} | rest], close, _depth), do: {[], rest}
 
@@ -149,7 +149,7 @@ defmodule Situ.Expression.Parser do
 
         throw(
           {:refused, at,
-           "there is no function #{inspect(name)}" <>
+           "function #{inspect(name)} does not exist" <>
              if(near, do: "; did you mean #{near}?", else: "")}
         )
 
@@ -158,7 +158,7 @@ defmodule Situ.Expression.Parser do
           do:
             throw(
               {:refused, at,
-               "#{name} takes #{Enum.join(arities, " or ")} values, not #{length(arguments)}"}
+               "#{name} takes #{Enum.join(arities, " or ")} arguments, not #{length(arguments)}"}
             )
 
         {:call, name, arguments}
@@ -168,10 +168,12 @@ defmodule Situ.Expression.Parser do
   defp expect([{:operator, close, _} | rest], close), do: rest
 
   defp expect([token | _], close),
-    do: refuse(token, "#{inspect(close)} belongs here, not #{shown(token)}")
+    do: refuse(token, "expected #{inspect(close)}, found #{shown(token)}")
 
   defp deeper(depth, at) do
-    if depth >= @deepest, do: throw({:refused, at, "it is nested more than #{@deepest} deep"})
+    if depth >= @deepest,
+      do: throw({:refused, at, "it is nested more than #{@deepest} levels deep"})
+
     depth + 1
   end
 

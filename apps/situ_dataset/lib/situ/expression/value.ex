@@ -1,7 +1,7 @@
 defmodule Situ.Expression.Value do
   @moduledoc false
-  # The operators on values. All are total: an operation without a result gives nil. Nothing grows without bound:
-  # whole numbers beyond 256 bits and texts beyond a megabyte have no value.
+  # The operators on values. All are total: an operation without a result returns nil. Values cannot grow without
+  # limit: integers above 256 bits and strings above a megabyte become nil.
 
   @bound Bitwise.bsl(1, 256)
   @longest 1_048_576
@@ -16,7 +16,7 @@ defmodule Situ.Expression.Value do
 
   def member(_, _), do: nil
 
-  # A name makes no atom; one that a struct has is there already.
+  # A name must not create an atom; the atoms of struct fields exist already.
   defp by_atom(map, name) do
     key = String.to_existing_atom(name)
     if key == :__struct__, do: nil, else: map |> Map.get(key) |> plain()
@@ -38,7 +38,8 @@ defmodule Situ.Expression.Value do
   defp proper?(list), do: not List.improper?(list)
 
   @doc """
-  A value of a message as the language knows it: tuples are lists, atoms other than true, false and nil are texts.
+  Converts a value of a message to a value of the language: tuples become lists, and atoms other than true, false and
+  nil become strings.
   """
   @spec plain(term()) :: term()
   def plain(value) when is_boolean(value) or is_nil(value), do: value
@@ -84,7 +85,7 @@ defmodule Situ.Expression.Value do
   defp compare(">", a, b), do: a > b
   defp compare(">=", a, b), do: a >= b
 
-  # 1 and 1.0 are one number.
+  # 1 and 1.0 are equal.
   defp same?(a, b) when is_number(a) and is_number(b), do: a == b
   defp same?(a, b), do: a === b
 
@@ -101,7 +102,7 @@ defmodule Situ.Expression.Value do
   defp arithmetic("%", a, b), do: bounded(fn -> a - b * Float.floor(a / b) end)
   defp arithmetic(_, _, _), do: nil
 
-  @doc "A number that is not too large, or nil; a float that overflows is none."
+  @doc "Returns the number that `fun` computes, or nil if it is too large or overflows."
   @spec bounded((() -> number())) :: number() | nil
   def bounded(fun) do
     case fun.() do

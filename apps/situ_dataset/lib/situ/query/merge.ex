@@ -1,11 +1,11 @@
 defmodule Situ.Query.Merge do
   @moduledoc false
-  # Events of several streams, one by one in the order of time: what happens at one time comes together.
+  # Merges the events of several streams in the order of time; changes at the same time are returned together.
 
   @type event :: {Situ.Time.t(), value :: term(), latency :: integer()}
   @type change :: {name :: String.t(), {value :: term(), latency :: integer()} | :expired}
 
-  @doc "`{time, changes}`; with `hold` a value that nothing follows for so long expires."
+  @doc "Returns an enumerable of `{time, changes}`; with `hold`, a value expires if no message follows for that long."
   @spec events([{String.t(), Enumerable.t()}], pos_integer() | nil) :: Enumerable.t()
   def events(streams, hold) do
     Stream.resource(
@@ -23,7 +23,7 @@ defmodule Situ.Query.Merge do
   defp opened(enumerable),
     do: &Enumerable.reduce(enumerable, &1, fn item, _ -> {:suspend, item} end)
 
-  # A head: the next change of a stream, with how to go on.
+  # A head is the next change of a stream and a continuation that reads the following one.
   defp next(name, rest, hold, since) do
     case rest.({:cont, nil}) do
       {:suspended, {time, value, latency}, rest} ->
@@ -53,7 +53,7 @@ defmodule Situ.Query.Merge do
     {same, _} = Enum.split_with(following, &(time(&1) == time(first)))
     changes = for {_, name, change, _} <- now, do: {name, change}
 
-    # Of several of one stream at one time (edges of annotations) the last counts.
+    # If a stream has several changes at one time (edges of annotations), the last one counts.
     if same == [],
       do: {[{time(first), changes}], Enum.sort_by(following ++ later, &time/1)},
       else: again(changes, following, later, first, hold)

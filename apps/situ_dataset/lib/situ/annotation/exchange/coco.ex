@@ -1,16 +1,16 @@
 defmodule Situ.Annotation.Exchange.Coco do
   @moduledoc """
-  COCO's JSON of boxes on pictures (https://cocodataset.org/#format-data).
+  COCO's JSON format for boxes on images (https://cocodataset.org/#format-data).
 
-  Boxes are annotations with the numbers `x`, `y`, `width` and `height` (pixels): key frames, of which each is a box on
-  the picture of its time. With `times:` (those of the pictures) there is a box on every picture between the first and
-  the last key frame of a track, on the line between its neighbours.
+  Boxes are annotations with the numbers `x`, `y`, `width` and `height` (pixels). Each key frame is a box on the image
+  of its time. `times:` gives the times of the images: every image between the first and the last key frame of a track
+  then gets a box, interpolated linearly between the two nearest key frames.
 
-  The category is the first finite attribute's value, else the schema's name. COCO's readers pass over what they do not
-  know, so the rest is there too: `time_ns` of a picture; `track`, `track_id`, `attributes`, `score`, `by`, `note` and
-  `proposed` of a box.
+  The category is the value of the first finite attribute, or else the schema's name. COCO readers skip unknown
+  fields, so the file also contains the other data: `time_ns` of an image; `track`, `track_id`, `attributes`,
+  `score`, `by`, `note` and `proposed` of a box.
 
-  Pictures of other writers have no times: they are a second apart, in the order of their names.
+  Images in files of other programs have no times: they are read one second apart, in the order of their names.
   """
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation
@@ -87,7 +87,7 @@ defmodule Situ.Annotation.Exchange.Coco do
     |> Map.reject(fn {_, value} -> value == nil end)
   end
 
-  # The boxes of a track: its key frames, or one for each picture between the first and the last of them.
+  # The boxes of a track: its key frames, or one per image between the first and the last key frame.
   defp on_pictures({_track, frames}, nil), do: frames
 
   defp on_pictures({_track, frames}, times) do
@@ -120,7 +120,7 @@ defmodule Situ.Annotation.Exchange.Coco do
     %{frame | from: time, to: time, values: Map.merge(frame.values, place)}
   end
 
-  # A box that stays where it is.
+  # A box that does not move.
   defp for_its_time(a, nil), do: [%{a | to: a.from}]
 
   defp for_its_time(a, times),
@@ -129,12 +129,12 @@ defmodule Situ.Annotation.Exchange.Coco do
   defp losses(others, lasting, times) do
     [
       others != [] &&
-        "COCO holds boxes: #{length(others)} annotations without x, y, width and height are left out",
+        "COCO stores only boxes: #{length(others)} annotations without x, y, width and height are left out",
       lasting != [] and times == nil &&
-        "COCO holds boxes on pictures: #{length(lasting)} that last are at their beginnings only " <>
-          "(name the stream of pictures)",
+        "COCO stores boxes on images: #{length(lasting)} annotations with a duration are only at their start " <>
+          "(name the image stream)",
       times != nil &&
-        "COCO does not know which boxes are key frames: each picture has one of its own"
+        "COCO does not store which boxes are key frames: each image has its own box"
     ]
     |> Enum.filter(& &1)
   end
@@ -148,7 +148,7 @@ defmodule Situ.Annotation.Exchange.Coco do
         read(file, names(categories), opts)
 
       {:ok, _} ->
-        {:error, "it has not the \"images\", \"annotations\" and \"categories\" of COCO"}
+        {:error, "it does not have the \"images\", \"annotations\" and \"categories\" of COCO"}
 
       {:error, :bad_json} ->
         {:error, "it is not JSON"}
@@ -176,9 +176,9 @@ defmodule Situ.Annotation.Exchange.Coco do
     losses =
       [
         untimed > 0 &&
-          "#{untimed} pictures have no time: they are a second apart, by their names",
+          "#{untimed} images have no time: they are one second apart, in the order of their names",
         bad > 0 &&
-          "#{bad} annotations are no boxes on a picture of the file, or no values of the schema"
+          "#{bad} annotations are not boxes on an image of the file or do not fit the schema, and are left out"
       ]
       |> Enum.filter(& &1)
 
@@ -204,7 +204,7 @@ defmodule Situ.Annotation.Exchange.Coco do
     schema
   end
 
-  # When each picture was taken, by its number.
+  # Returns the time of each image by its id.
   defp times(images, origin, moved) do
     {timed, untimed} =
       images

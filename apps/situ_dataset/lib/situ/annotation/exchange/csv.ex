@@ -1,10 +1,10 @@
 defmodule Situ.Annotation.Exchange.Csv do
   @moduledoc """
-  Annotations as a table (RFC 4180): `from`, `to` (ns), `track`, an attribute a column, then `by`, `confidence`,
-  `proposed` and `note`. Nothing is lost; `from` and `to` are absolute times whatever `origin:` says, and `from_s`
-  and `to_s` are seconds from it, for people and spreadsheets.
+  Annotations as a table (RFC 4180): `from`, `to` (ns), `track`, one column per attribute, then `by`, `confidence`,
+  `proposed` and `note`. Nothing is lost. `from` and `to` are absolute times and do not depend on `origin:`; `from_s`
+  and `to_s` are seconds from the origin, for people and spreadsheets.
 
-  Reading needs `from` and `to` (ns), or `from_s` and `to_s`, and `track`; any other column is an attribute.
+  Reading requires `track` and either `from` and `to` (ns) or `from_s` and `to_s`; every other column is an attribute.
   """
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation
@@ -25,7 +25,7 @@ defmodule Situ.Annotation.Exchange.Csv do
     {Enum.map([head | rows], &line/1), []}
   end
 
-  # An attribute that is called as one of the fixed columns has a mark.
+  # An attribute with the name of a fixed column gets a prefix.
   defp column(name), do: if(name in @own, do: "value." <> name, else: name)
 
   defp row(a, attributes, origin) do
@@ -63,7 +63,7 @@ defmodule Situ.Annotation.Exchange.Csv do
 
       losses =
         if bad > 0,
-          do: ["#{bad} rows are no annotations, or no values of the schema, and are left out"],
+          do: ["#{bad} rows are not annotations or do not fit the schema, and are left out"],
           else: []
 
       {:ok, nil, annotations, losses}
@@ -163,7 +163,7 @@ defmodule Situ.Annotation.Exchange.Csv do
     case take_cell(text) do
       {:ok, cell, "," <> rest} -> rows(rest, [cell | cells], rows)
       {:ok, cell, rest} -> next_row(rest, ended([cell | cells], rows))
-      :error -> {:error, "a quoted cell has no end"}
+      :error -> {:error, "a quoted cell has no closing quotation mark"}
     end
   end
 
@@ -174,7 +174,7 @@ defmodule Situ.Annotation.Exchange.Csv do
   defp next_row("\n" <> rest, rows), do: rows(rest, [], rows)
   defp next_row("\r" <> rest, rows), do: rows(rest, [], rows)
   defp next_row("", rows), do: {:ok, Enum.reverse(rows)}
-  defp next_row(_, _rows), do: {:error, "something stands behind a quoted cell"}
+  defp next_row(_, _rows), do: {:error, "a quoted cell is followed by other text"}
 
   defp take_cell("\"" <> text), do: quoted(text, "")
 

@@ -1,24 +1,24 @@
 defmodule Situ.Annotation.Exchange.Cues do
   @moduledoc false
-  # What WebVTT and SubRip share: cues with times in milliseconds, a blank line between them.
+  # The common part of WebVTT and SubRip: cues with times in milliseconds, separated by blank lines.
   alias Situ.Annotation
   alias Situ.Annotation.Exchange.Rows
   alias Situ.Annotation.{Layer, Schema}
 
   @ms 1_000_000
 
-  @doc "The cues of a layer: `{from_ms, to_ms, track, text}`, and what is lost; points last a millisecond."
+  @doc "Returns the cues of a layer, `{from_ms, to_ms, track, text}`, and the losses; points last one millisecond."
   @spec of(Layer.t(), integer(), String.t()) :: {[tuple()], [String.t()]}
   def of(layer, origin, format) do
     annotations = layer |> Layer.annotations() |> Enum.sort_by(&{&1.from, &1.to, &1.track})
     cues = for a <- annotations, do: cue(a, layer.schema, origin)
     points = Enum.count(annotations, &(ms(&1.from) == ms(&1.to)))
-    short = if points > 0, do: ["#{format} has no points: #{points} last 1 ms"], else: []
+    short = if points > 0, do: ["#{format} has no points: #{points} points last 1 ms"], else: []
     before = Enum.count(annotations, &(&1.from < origin))
 
     early =
       if before > 0,
-        do: ["#{format} begins at 0: #{before} annotations before the origin are left out"],
+        do: ["#{format} starts at 0: #{before} annotations before the origin are left out"],
         else: []
 
     {Enum.reject(cues, &(elem(&1, 0) < 0)),
@@ -33,13 +33,13 @@ defmodule Situ.Annotation.Exchange.Cues do
 
   defp ms(ns), do: Integer.floor_div(ns + div(@ms, 2), @ms)
 
-  # Several attributes are a line each.
+  # Each of several attributes has its own line.
   defp text(values, %{attributes: [attribute]}), do: Rows.text(values[attribute.name])
 
   defp text(values, schema),
     do: Enum.map_join(schema.attributes, "\n", &"#{&1.name}: #{Rows.text(values[&1.name])}")
 
-  @doc "`HH:MM:SS` and the milliseconds behind `mark`."
+  @doc "Formats a time as `HH:MM:SS`, then `mark` and the milliseconds."
   @spec time(non_neg_integer(), String.t()) :: String.t()
   def time(ms, mark) do
     pad = fn n, width -> n |> Integer.to_string() |> String.pad_leading(width, "0") end
@@ -49,7 +49,7 @@ defmodule Situ.Annotation.Exchange.Cues do
     Enum.map_join(clock, ":", &pad.(&1, 2)) <> mark <> pad.(rem(ms, 1_000), 3)
   end
 
-  @doc "The blocks of a file: lists of lines."
+  @doc "Splits a file into its blocks, which are lists of lines."
   @spec blocks(binary()) :: {:ok, [[String.t()]]} | {:error, String.t()}
   def blocks(<<0xEF, 0xBB, 0xBF, text::binary>>), do: blocks(text)
 
@@ -64,7 +64,7 @@ defmodule Situ.Annotation.Exchange.Cues do
       else: {:error, "it is not UTF-8"}
   end
 
-  @doc "The cue of a block, `{from_ms, to_ms, text}`, or `nil` when it has no line of times."
+  @doc "Parses the cue of a block to `{from_ms, to_ms, text}`; returns `nil` if no line contains times."
   @spec cue([String.t()]) :: {integer(), integer(), String.t()} | nil
   def cue(lines) do
     time = ~S"(?:(\d+):)?(\d\d):(\d\d)[.,](\d{3})"
@@ -86,7 +86,7 @@ defmodule Situ.Annotation.Exchange.Cues do
     ((h * 60 + m) * 60 + s) * 1_000 + ms
   end
 
-  @doc "An annotation out of a cue."
+  @doc "Builds an annotation from a cue."
   @spec annotation({integer(), integer(), String.t()}, String.t(), Schema.t() | nil, integer()) ::
           {:ok, Annotation.t()} | :error
   def annotation({from, to, text}, track, schema, origin) do
@@ -105,7 +105,7 @@ defmodule Situ.Annotation.Exchange.Cues do
          do: {:ok, %{attribute.name => value}}
   end
 
-  # A line that begins with no attribute goes on with the value of the one before it.
+  # A line that does not start with an attribute name continues the value of the line before it.
   defp values(text, schema) do
     names = Enum.map(schema.attributes, & &1.name)
 

@@ -2,9 +2,9 @@ defmodule Situ.Annotation.Exchange.Elan do
   @moduledoc """
   ELAN's annotation files (`.eaf`, format 3.0): a tier for each track, or for each track and attribute.
 
-  Times are milliseconds from `origin:`. The schema and the origin are kept as properties of the header
-  (`situ.schema`, `situ.origin`), finite attributes also as controlled vocabularies, so that ELAN offers their
-  values. Tiers that refer to others (`REF_ANNOTATION`) are read with the times of what they refer to.
+  Times are milliseconds from `origin:`. The header stores the schema and the origin as properties (`situ.schema`,
+  `situ.origin`). Finite attributes are also written as controlled vocabularies, so that ELAN offers their values.
+  Annotations that refer to others (`REF_ANNOTATION`) get the times of the annotation that they refer to.
   """
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation.Exchange.{Rows, Xml}
@@ -44,7 +44,7 @@ defmodule Situ.Annotation.Exchange.Elan do
         do: {ms(time - origin), true}
   end
 
-  # Rounded alike everywhere, so that what touches goes on touching.
+  # All times are rounded in the same way, so that annotations that touch keep touching.
   defp ms(ns), do: Integer.floor_div(ns + div(@ms, 2), @ms)
 
   defp times(ids) do
@@ -94,7 +94,7 @@ defmodule Situ.Annotation.Exchange.Elan do
     ]
   end
 
-  # ELAN has one annotator for each tier.
+  # ELAN stores one annotator per tier.
   defp annotator(labels) do
     case labels |> Enum.map(fn {a, _} -> a.by end) |> Enum.uniq() do
       [by] when is_binary(by) -> ~s( ANNOTATOR="#{Xml.escape(by)}")
@@ -200,7 +200,7 @@ defmodule Situ.Annotation.Exchange.Elan do
         do: {id, ms * @ms}
   end
 
-  # Those that refer to another have its times; the other may itself refer to one.
+  # An annotation that refers to another one has its times; the other one may itself refer to a third.
   defp rows(tiers, slots, origin) do
     found = for {_, %{"TIER_ID" => name}, _} = tier <- tiers, do: {name, annotations(tier)}
 
@@ -220,7 +220,7 @@ defmodule Situ.Annotation.Exchange.Elan do
     end)
   end
 
-  # A circle of references ends somewhere.
+  # The limit stops the search in a cycle of references.
   defp root(id, parents, depth) do
     case parents do
       %{^id => parent} when depth < 100 -> root(parent, parents, depth + 1)
@@ -243,7 +243,7 @@ defmodule Situ.Annotation.Exchange.Elan do
   end
 
   defp untimed(0), do: []
-  defp untimed(n), do: ["#{n} annotations have no times of their own and are left out"]
+  defp untimed(n), do: ["#{n} annotations have no times and are left out"]
 
   defp annotators(annotations, document, schema) do
     by =

@@ -1,11 +1,11 @@
 defmodule Situ.Annotation.Exchange.LabelStudio do
   @moduledoc """
-  Label Studio's JSON of sound or film: one task; a region for each annotation, times in seconds from `origin:`.
+  Label Studio's JSON for audio or video: one task with a region per annotation; times are seconds from `origin:`.
 
-  Finite attributes are `labels`, text is `textarea`, numbers are `number`, booleans `choices` of `true` and
-  `false`; the results of one region share its `id`. The track is the region's choice `from_name: "track"`.
-  Proposals are predictions (with their confidence as score), the others the annotations of a task, an entry for
-  each annotator.
+  Finite attributes are `labels`, text is `textarea`, numbers are `number`, and booleans are `choices` of `true` and
+  `false`. The results of one region share its `id`. The track is the region's choice `from_name: "track"`. Proposals
+  are predictions with their confidence as the score. All other annotations are annotations of the task, with one
+  entry per annotator.
   """
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation
@@ -90,16 +90,16 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
         task(task, opts)
 
       {:ok, %{"images" => _, "annotations" => _}} ->
-        {:error, "it is COCO's: say so by its format"}
+        {:error, "it is a COCO file: pass format: :coco"}
 
       {:ok, %{} = task} ->
         task(task, opts)
 
       {:ok, [_, _ | _]} ->
-        {:error, "it has several tasks; export one"}
+        {:error, "it contains several tasks; export a single task"}
 
       {:ok, _} ->
-        {:error, "it is no task of Label Studio"}
+        {:error, "it is not a task of Label Studio"}
 
       {:error, :bad_json} ->
         {:error, "it is not JSON"}
@@ -130,7 +130,7 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
     losses =
       if bad > 0,
         do: [
-          "#{bad} results are no regions in time, or no values of the schema, and are left out"
+          "#{bad} results are not regions in time or do not fit the schema, and are left out"
         ],
         else: []
 

@@ -1,13 +1,14 @@
 defmodule Situ.Annotation.Exchange.Rows do
   @moduledoc false
-  # Rows of labelled intervals, as ELAN's tiers and Praat's are: one for each track and attribute, and back.
+  # Rows of labelled intervals, like the tiers of ELAN and Praat: converts a layer to one row per track and attribute,
+  # and rows to annotations.
   alias Situ.Annotation
   alias Situ.Annotation.{Layer, Schema}
 
   @type label :: {from :: integer(), to :: integer(), text :: String.t()}
   @type row :: {name :: String.t(), [label()]}
 
-  @doc "The rows of a layer, by track, then in the order of the attributes; times as in the layer."
+  @doc "Returns the rows of a layer by track and then in the order of the attributes; times are unchanged."
   @spec of(Layer.t()) :: [{String.t(), String.t(), [{Annotation.t(), String.t()}]}]
   def of(layer) do
     attributes = layer.schema.attributes
@@ -21,15 +22,15 @@ defmodule Situ.Annotation.Exchange.Rows do
   defp name(track, _attribute, [_]), do: track
   defp name(track, attribute, _), do: "#{track}.#{attribute}"
 
-  @doc "A value as text."
+  @doc "Formats a value as text."
   @spec text(term()) :: String.t()
   def text(nil), do: ""
   def text(value) when is_binary(value), do: value
   def text(value), do: to_string(value)
 
   @doc """
-  Annotations out of rows, by a schema or without one: rows `TRACK.ATTRIBUTE` of a schema with several attributes
-  are put together where their intervals are the same.
+  Builds annotations from rows, with or without a schema. With a schema that has several attributes, the rows
+  `TRACK.ATTRIBUTE` of a track are joined where their intervals are equal.
   """
   @spec annotations([row()], Schema.t() | nil) :: {[Annotation.t()], [String.t()]}
   def annotations(rows, schema) do
@@ -52,13 +53,13 @@ defmodule Situ.Annotation.Exchange.Rows do
 
     losses =
       if refused > 0,
-        do: ["#{refused} labels are no values of the schema: the defaults stand for them"],
+        do: ["#{refused} labels do not fit the schema and were replaced by the defaults"],
         else: []
 
     {Enum.sort_by(annotations, &{&1.from, &1.to, &1.track}), losses}
   end
 
-  # The longest attribute name that ends the row's name; a row without one is a track's first attribute.
+  # The row's name ends with the attribute name; a row without one belongs to the track's first attribute.
   defp place(name, %Schema{attributes: [_, _ | _] = attributes}) do
     found =
       Enum.find(attributes, &(String.ends_with?(name, "." <> &1.name) and name != "." <> &1.name))
@@ -82,7 +83,7 @@ defmodule Situ.Annotation.Exchange.Rows do
     end)
   end
 
-  @doc "The losses, in sentences, in a format that holds only intervals and labels of these annotations."
+  @doc "Describes, in sentences, the data that is lost in a format that does not store the fields in `left_out`."
   @spec losses([Annotation.t()], [:by | :confidence | :note | :proposed? | :fine], String.t()) ::
           [String.t()]
   def losses(annotations, left_out, format) do
@@ -97,13 +98,13 @@ defmodule Situ.Annotation.Exchange.Rows do
   defp says?(a, field), do: Map.fetch!(a, field) != nil
 
   defp sentence(:fine, n, format),
-    do: "#{format} has milliseconds: the times of #{n} annotations are rounded"
+    do: "#{format} stores milliseconds: the times of #{n} annotations are rounded"
 
   defp sentence(:proposed?, n, format),
-    do: "#{format} does not know proposals: #{n} look like any other"
+    do: "#{format} does not store proposals: #{n} proposals become ordinary annotations"
 
   defp sentence(field, n, format),
-    do: "#{format} has no place for #{word(field)}: those of #{n} annotations are left out"
+    do: "#{format} does not store #{word(field)}; they are lost for #{n} annotations"
 
   defp word(:by), do: "annotators"
   defp word(:confidence), do: "confidences"

@@ -1,7 +1,7 @@
 defmodule Situ.Annotation.Exchange.Srt do
   @moduledoc """
-  SubRip subtitles: a cue for each annotation, its track in brackets before the text (`[P1] Hello`), times in
-  milliseconds from `origin:`. Cues without brackets are read as those of the track "Cues".
+  SubRip subtitles: one cue per annotation with its track in brackets before the text (`[P1] Hello`). Times are
+  milliseconds from `origin:`. Cues without brackets are put on the track "Cues".
   """
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation.Exchange.Cues
@@ -40,11 +40,11 @@ defmodule Situ.Annotation.Exchange.Srt do
 
       cond do
         annotations == [] and bad > 0 ->
-          {:error, "it has no cue with times like 00:00:01,000 --> 00:00:02,500"}
+          {:error, "it does not contain a cue with times like 00:00:01,000 --> 00:00:02,500"}
 
         bad > 0 ->
           {:ok, nil, annotations,
-           ["#{bad} cues are damaged or no values of the schema, and are left out"]}
+           ["#{bad} cues are damaged or do not fit the schema, and are left out"]}
 
         true ->
           {:ok, nil, annotations, []}

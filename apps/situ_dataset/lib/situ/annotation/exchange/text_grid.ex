@@ -1,10 +1,10 @@
 defmodule Situ.Annotation.Exchange.TextGrid do
   @moduledoc """
-  Praat's TextGrids: written in the long text form, read in both, as UTF-8 or UTF-16.
+  Praat's TextGrid files: writes the long text form, and reads the long and the short form in UTF-8 or UTF-16.
 
-  A tier for each track (or track and attribute); what lies between annotations is an interval with an empty label,
-  as Praat wants it, so an annotation with an empty label is not found again. Points of a track are a point tier
-  `TRACK (points)`. Times are seconds from `origin:`, to the nanosecond.
+  Each track (or track and attribute) is a tier. Praat requires intervals with an empty label between annotations,
+  so an annotation with an empty label is lost. Points of a track are in a point tier `TRACK (points)`. Times are
+  seconds from `origin:`, exact to the nanosecond.
   """
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation.Exchange.Rows
@@ -23,7 +23,7 @@ defmodule Situ.Annotation.Exchange.TextGrid do
       |> Enum.min(fn -> opts[:origin] end)
       |> min(opts[:origin])
 
-    # Praat knows no empty interval of time.
+    # Praat does not accept a time span of length zero.
     span = {first, max(last, first + 1)}
     tiers = Enum.flat_map(Rows.of(layer), &tiers/1)
 
@@ -40,12 +40,12 @@ defmodule Situ.Annotation.Exchange.TextGrid do
   end
 
   defp blank(0), do: []
-  defp blank(n), do: ["an empty label is no annotation to Praat: #{n} are lost"]
+  defp blank(n), do: ["Praat does not treat an empty label as an annotation: #{n} are lost"]
 
   defp points(annotations) do
     case Enum.count(annotations, &(&1.from == &1.to)) do
       0 -> []
-      n -> ["Praat keeps points on tiers of their own: #{n} are on tiers called \"... (points)\""]
+      n -> ["Praat stores points in separate tiers: #{n} are on tiers called \"... (points)\""]
     end
   end
 
@@ -103,7 +103,7 @@ defmodule Situ.Annotation.Exchange.TextGrid do
     if at < last, do: filled ++ [{at, last, ""}], else: filled
   end
 
-  # Exact: nanoseconds are written as they are, without a detour over floats.
+  # Nanoseconds are written exactly, without a conversion to floats.
   defp seconds(time, opts) do
     ns = time - opts[:origin]
     sign = if ns < 0, do: "-", else: ""
@@ -135,7 +135,7 @@ defmodule Situ.Annotation.Exchange.TextGrid do
   defp utf8(<<0xFF, 0xFE, text::binary>>), do: utf16(text, :little)
   defp utf8(<<0xEF, 0xBB, 0xBF, text::binary>>), do: utf8(text)
 
-  # Praat of old wrote Latin-1.
+  # Old versions of Praat wrote Latin-1.
   defp utf8(text),
     do:
       {:ok, if(String.valid?(text), do: text, else: :unicode.characters_to_binary(text, :latin1))}
@@ -147,7 +147,7 @@ defmodule Situ.Annotation.Exchange.TextGrid do
     end
   end
 
-  # Both forms are the same row of texts in quotes, numbers and flags: all words besides are for people.
+  # Both forms contain the same sequence of quoted texts, numbers and flags; other words are only for human readers.
   defp scan("", done), do: Enum.reverse(done)
 
   defp scan("\"" <> text, done) do
@@ -162,7 +162,7 @@ defmodule Situ.Annotation.Exchange.TextGrid do
   defp scan("!" <> rest, done),
     do: rest |> String.split("\n", parts: 2) |> Enum.at(1, "") |> scan(done)
 
-  # The numbers of items, in brackets, are for people as well.
+  # Item numbers in brackets are also only for human readers.
   defp scan("[" <> rest, done),
     do: rest |> String.split("]", parts: 2) |> Enum.at(1, "") |> scan(done)
 
@@ -175,7 +175,7 @@ defmodule Situ.Annotation.Exchange.TextGrid do
     scan(rest, if(number in ["", "-"], do: done, else: [{:number, number} | done]))
   end
 
-  # A word, to its end: a digit in it is no number.
+  # Skips a complete word, because a digit in it is not a number.
   defp scan(<<c::utf8, _::binary>> = text, done) when c in ?a..?z or c in ?A..?Z do
     [word] = Regex.run(~r/\A\w+/u, text)
     scan(binary_part(text, byte_size(word), byte_size(text) - byte_size(word)), done)
@@ -202,7 +202,7 @@ defmodule Situ.Annotation.Exchange.TextGrid do
     end
   end
 
-  defp grid(_, _origin), do: {:error, "it does not begin as a TextGrid does"}
+  defp grid(_, _origin), do: {:error, "it does not start like a TextGrid file"}
 
   defp rows([], _origin, rows), do: {:ok, Enum.reverse(rows)}
 
@@ -216,11 +216,11 @@ defmodule Situ.Annotation.Exchange.TextGrid do
          {:ok, labels, rest} <- labels(class, rest, size, origin, []) do
       rows(rest, origin, [{name, Enum.reject(labels, &(elem(&1, 2) == ""))} | rows])
     else
-      _ -> {:error, "the tier #{inspect(name)} is cut short, or its numbers are wrong"}
+      _ -> {:error, "the tier #{inspect(name)} is truncated or has invalid numbers"}
     end
   end
 
-  defp rows(_, _origin, rows), do: {:error, "it is damaged behind #{length(rows)} tiers"}
+  defp rows(_, _origin, rows), do: {:error, "it is damaged after #{length(rows)} tiers"}
 
   defp labels(_class, rest, 0, _origin, done), do: {:ok, Enum.reverse(done), rest}
 
@@ -241,7 +241,7 @@ defmodule Situ.Annotation.Exchange.TextGrid do
 
   defp labels(_, _, _, _, _), do: :error
 
-  # Digits, not floats: the ninth decimal of an hour is beyond a float.
+  # Parses digits, because a float cannot represent the ninth decimal of an hour.
   defp ns(text) do
     case Regex.run(~r/\A(-?)(\d*)(?:\.(\d+))?\z/, text) do
       [_, sign, whole] -> signed(sign, whole, "")

@@ -1,10 +1,10 @@
 defmodule Situ.Annotation.Exchange.WebVtt do
   @moduledoc """
-  WebVTT: a cue for each annotation, its track as the cue's voice (`<v TRACK>`), times in milliseconds from
+  WebVTT: one cue per annotation, with its track as the cue's voice (`<v TRACK>`). Times are milliseconds from
   `origin:`.
 
-  Several attributes are lines `ATTRIBUTE: VALUE`. Reading takes the text without its tags; cues without a voice are
-  on the track "Cues".
+  Several attributes are written as lines `ATTRIBUTE: VALUE`. Reading removes the tags from the text. Cues without a
+  voice are put on the track "Cues".
   """
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation.Exchange.Cues
@@ -42,7 +42,7 @@ defmodule Situ.Annotation.Exchange.WebVtt do
         read(blocks, opts)
 
       {:ok, _} ->
-        {:error, "it does not begin with WEBVTT"}
+        {:error, "it does not start with WEBVTT"}
 
       {:error, why} ->
         {:error, why}
@@ -67,7 +67,7 @@ defmodule Situ.Annotation.Exchange.WebVtt do
 
     losses =
       if bad > 0,
-        do: ["#{bad} cues are damaged or no values of the schema, and are left out"],
+        do: ["#{bad} cues are damaged or do not fit the schema, and are left out"],
         else: []
 
     {:ok, nil, annotations, losses}

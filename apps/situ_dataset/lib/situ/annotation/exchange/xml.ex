@@ -1,8 +1,8 @@
 defmodule Situ.Annotation.Exchange.Xml do
   @moduledoc false
-  # XML of strangers, by xmerl's SAX parser (it makes no atoms): elements as {name, attributes, children}. A
-  # document type, in which entities are declared that unfold to gigabytes or read files, is refused before anything
-  # in it is looked at.
+  # Parses untrusted XML with xmerl's SAX parser, which creates no atoms, to {name, attributes, children}. A document
+  # type is rejected before its content is read, because it can declare entities that expand to gigabytes or read
+  # files.
 
   @type element :: {String.t(), %{String.t() => String.t()}, [element() | String.t()]}
   @deepest 100
@@ -12,20 +12,27 @@ defmodule Situ.Annotation.Exchange.Xml do
     options = [event_fun: &event/3, event_state: [], continuation_fun: &finished/1]
 
     case :xmerl_sax_parser.stream(unmarked(text), options) do
-      {:ok, [{:root, element}], _rest} -> {:ok, element}
-      {:ok, _, _} -> {:error, "it is no whole XML"}
-      {:refused, _, why, _, _} -> {:error, to_string(why)}
-      {_, {_, _, line}, reason, _, _} -> {:error, "line #{line} is no XML: #{text_of(reason)}"}
+      {:ok, [{:root, element}], _rest} ->
+        {:ok, element}
+
+      {:ok, _, _} ->
+        {:error, "it is not a complete XML document"}
+
+      {:refused, _, why, _, _} ->
+        {:error, to_string(why)}
+
+      {_, {_, _, line}, reason, _, _} ->
+        {:error, "line #{line} is not valid XML: #{text_of(reason)}"}
     end
   catch
     {:refused, why} -> {:error, why}
-    kind, _ when kind in [:error, :exit] -> {:error, "it is no XML"}
+    kind, _ when kind in [:error, :exit] -> {:error, "it is not valid XML"}
   end
 
   defp unmarked(<<0xEF, 0xBB, 0xBF, text::binary>>), do: text
   defp unmarked(text), do: text
 
-  # There is no more than the text.
+  # The parser asks for more input; there is none after the text.
   defp finished(state), do: {<<>>, state}
 
   defp text_of(reason) when is_list(reason), do: reason |> :lists.flatten() |> to_string()
@@ -35,7 +42,7 @@ defmodule Situ.Annotation.Exchange.Xml do
     do:
       throw(
         {:refused,
-         "it has a document type (<!DOCTYPE): no annotation file needs one, and an entity in it may be a trap"}
+         "it has a document type (<!DOCTYPE): annotation files do not need one, and its entities can be an attack"}
       )
 
   defp event({:startElement, _, name, _, attributes}, _location, stack) do
@@ -62,15 +69,15 @@ defmodule Situ.Annotation.Exchange.Xml do
 
   defp event(_event, _location, stack), do: stack
 
-  @doc "The child elements of that name."
+  @doc "Returns the child elements with that name."
   @spec children(element(), String.t()) :: [element()]
   def children({_, _, children}, name), do: for({^name, _, _} = child <- children, do: child)
 
-  @doc "The text of an element."
+  @doc "Returns the text of an element."
   @spec text(element()) :: String.t()
   def text({_, _, children}), do: for(text when is_binary(text) <- children, into: "", do: text)
 
-  @doc "Text as it is written in XML; characters that XML cannot say are left out."
+  @doc "Escapes text for XML and removes the characters that XML cannot represent."
   @spec escape(String.t()) :: String.t()
   def escape(text) do
     text

@@ -1,6 +1,6 @@
 defmodule Situ.Dataset.Derivation.Job do
   @moduledoc false
-  # One session of a run: what to compute, and where the output goes. Runs in a process of its own, on any node.
+  # One session of a run: the computation and the path of its output. It runs in a separate process on any node.
   alias Situ.Dataset.{Importer, OpenSession, Partition, Session, StoredPath, Version}
   alias Situ.{Error, Pipeline, Store}
 
@@ -41,7 +41,7 @@ defmodule Situ.Dataset.Derivation.Job do
 
   defp beside([]), do: "."
 
-  @doc "The body of the process: says which pipeline it runs, and ends with what became of it."
+  @doc "Runs the session in the calling process: sends its pipeline to the coordinator and exits with the result."
   @spec run(t(), pid()) :: no_return()
   def run(%__MODULE__{} = job, coordinator) do
     me = self()
@@ -68,14 +68,14 @@ defmodule Situ.Dataset.Derivation.Job do
     computed(job.compute, p, importer, exporter, job)
   end
 
-  # Of a session without any recording that opens nothing can be made: an empty output would say otherwise.
+  # Without any readable recording, an empty output would look like a valid result.
   defp there!(%{stores: [], troubles: [{_, error} | _]}), do: raise(error)
   defp there!(_), do: :ok
 
   defp computed(fun, p, importer, exporter, _job) when is_function(fun, 3),
     do: fun.(p, importer, exporter)
 
-  # The part of the session that a module gets names nothing of this application, so that it may live below it.
+  # These options do not refer to modules of this application, so that tasks may be in applications below it.
   defp computed(module, p, importer, exporter, job) when is_atom(module) do
     given = [
       pipeline: p,
@@ -85,7 +85,7 @@ defmodule Situ.Dataset.Derivation.Job do
       open: &Importer.stream(importer, &1),
       has: &Importer.has?(importer, &1),
       write: &Store.write(&1, exporter, &2),
-      # The partition of an earlier run will be replaced, so it is no input.
+      # The partition of an earlier run will be replaced, so it is not an input.
       streams:
         for(
           {name, _} = stream <- OpenSession.streams(importer.session),
@@ -98,11 +98,11 @@ defmodule Situ.Dataset.Derivation.Job do
     module.build(p, given ++ job.options)
   end
 
-  @doc "Gives the output its name."
+  @doc "Gives the output its final name."
   @spec publish(t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def publish(%__MODULE__{} = job), do: Version.publish(job.draft, job.path)
 
-  @doc "Deletes what a session that came to nothing has written."
+  @doc "Deletes the output of a session that failed or was cancelled."
   @spec discard(t()) :: :ok
   def discard(%__MODULE__{draft: nil}), do: :ok
   def discard(%__MODULE__{draft: draft}), do: Version.discard(draft)

@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.Derivation.Log do
   @moduledoc false
-  # The beginnings and ends of a run's sessions, a line of JSON each, on the disk before it goes on. The next run of
-  # the same output keeps what is done and clears away what was only begun.
+  # Records the start and end of a run's sessions, one line of JSON each, on disk before the run continues. The next
+  # run of the same output keeps the completed sessions and deletes the output of incomplete ones.
   alias Situ.Dataset.Version
   alias Situ.Error
 
@@ -9,8 +9,8 @@ defmodule Situ.Dataset.Derivation.Log do
   @type t :: %__MODULE__{path: Path.t() | nil}
 
   @doc """
-  The log, and what an earlier run had done: `%{session => folder}`. With `overwrite` one that ended by itself (with
-  sessions that failed) counts for nothing.
+  Opens the log and returns it with the completed sessions of an earlier run, `%{session => folder}`. With
+  `overwrite:`, the results of a run that ended normally (with failed sessions) are ignored.
   """
   @spec open(Path.t() | nil, String.t() | nil, keyword()) :: {t(), %{String.t() => Path.t()}}
   def open(file, output, _opts) when file == nil or output == nil, do: {%__MODULE__{}, %{}}
@@ -29,7 +29,7 @@ defmodule Situ.Dataset.Derivation.Log do
       else: {remove(log), %{}}
   end
 
-  # The last line may be cut short.
+  # The last line may be truncated.
   defp read(path) do
     case File.read(path) do
       {:ok, text} ->
@@ -48,14 +48,14 @@ defmodule Situ.Dataset.Derivation.Log do
   @spec done(t(), String.t(), Path.t()) :: :ok | {:error, Error.t()}
   def done(log, session, folder), do: append(log, %{done: session, path: folder})
 
-  @doc "The run came to its end, though not every session did."
+  @doc "Records that the run ended although some sessions were not completed."
   @spec ended(t()) :: :ok | {:error, Error.t()}
   def ended(log), do: append(log, %{ended: true})
 
   defp append(%{path: nil}, _entry), do: :ok
 
   defp append(%{path: path}, entry) do
-    # A line feed first: what a crash cut short stays a line of its own.
+    # The leading line feed separates the entry from a line that a crash truncated.
     line = ["\n", Situ.JSON.encode(entry), "\n"]
 
     with {:ok, device} <- :file.open(path, [:append, :raw, :binary]),
@@ -67,7 +67,7 @@ defmodule Situ.Dataset.Derivation.Log do
         {:error,
          Error.new(:not_saved, "cannot write #{path}",
            why: to_string(:file.format_error(reason)),
-           fix: "make room or check the folder; the run keeps its journal there"
+           fix: "free disk space or check the folder; the run writes its journal there"
          )}
     end
   end

@@ -1,6 +1,6 @@
 defmodule Situ.Dataset.Derivation.Progress do
   @moduledoc """
-  How far a run over the sessions is: `done` (0.0 to 1.0, sessions weighted by their length), `finished` of `total`
+  The progress of a run over sessions: `done` (0.0 to 1.0, sessions weighted by their duration), `finished` of `total`
   sessions, and `running`, `[{session, fraction}]`.
   """
   alias Situ.Pipeline
@@ -36,12 +36,12 @@ defmodule Situ.Dataset.Derivation.Progress do
       |> Enum.sum()
 
     done = if all == 0, do: 1.0, else: (over + part) / all
-    # A pipeline that ended between two looks does not set the whole back.
+    # The total must not decrease when a pipeline ends between two updates.
     %{progress | running: Enum.sort(running), done: max(progress.done, min(done, 1.0))}
   end
 
   @doc false
-  # The store is closed and named after the pipeline: the last twentieth.
+  # Closing and renaming the store after the pipeline counts for the last 5 %.
   @spec of(Pipeline.t() | nil) :: float()
   def of(nil), do: 0.0
 

@@ -1,10 +1,11 @@
 defmodule Situ.Dataset.Derivation.Report do
   @moduledoc """
-  How a run over the sessions went: `output`, `duration` (ns), `cancelled?`, and a result for each session, in their
-  order.
+  The report of a run over sessions: `output`, `duration` (ns), `cancelled?`, and a result for each session, in the
+  order of the sessions.
 
-  A result's `status` is `:done`, `:kept` (an earlier, killed run had done it), `:failed` (`error` says why) or
-  `:cancelled`; `result` is what `build` returned, `took` the time in ns. Sessions that were not begun have none.
+  A result's `status` is `:done`, `:kept` (completed by an earlier, interrupted run), `:failed` (see `error`) or
+  `:cancelled`. `result` is the return value of `build`, and `took` is the time in ns. Sessions that were not started
+  have no result.
   """
   defstruct [:output, results: [], cancelled?: false, duration: 0]
 
@@ -22,7 +23,7 @@ defmodule Situ.Dataset.Derivation.Report do
           duration: Situ.Time.duration()
         }
 
-  @doc "The sessions that failed, with their errors."
+  @doc "Returns the failed sessions with their errors."
   @spec failures(t()) :: [{String.t(), Situ.Error.t()}]
   def failures(%__MODULE__{} = report),
     do: for(%{status: :failed} = r <- report.results, do: {r.session, r.error})

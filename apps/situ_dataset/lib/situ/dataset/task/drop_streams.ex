@@ -1,5 +1,5 @@
 defmodule Situ.Dataset.Task.DropStreams do
-  @moduledoc "The task `drop-streams`: a partition with all streams but those that nobody else may see."
+  @moduledoc "The task `drop-streams`: copies all streams to a new partition, except streams that must not be shared."
   @behaviour Situ.Dataset.Task
 
   @impl true
@@ -7,13 +7,13 @@ defmodule Situ.Dataset.Task.DropStreams do
     %{
       name: "drop-streams",
       about:
-        "copy a session's streams into one partition, without those that nobody else may see",
+        "copy a session's streams into one partition, except streams that must not be shared",
       output: "Shared",
       options: [
         drop: [
           type: {:list, :string},
           required: true,
-          doc: "Names of streams; * stands for any text."
+          doc: "Names of the streams to leave out; * matches any text."
         ]
       ]
     }
@@ -29,7 +29,7 @@ defmodule Situ.Dataset.Task.DropStreams do
     names = for {_, info} <- kept, do: info.name
 
     for {partition, info} <- kept do
-      # A name that several partitions have keeps its partition's.
+      # A name that occurs in several partitions is qualified with the partition.
       name =
         if Enum.count(names, &(&1 == info.name)) > 1,
           do: "#{partition}.#{info.name}",

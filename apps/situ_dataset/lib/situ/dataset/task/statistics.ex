@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.Task.Statistics do
   @moduledoc """
-  The task `statistics`: count, mean, deviation and range of every stream of numbers, as a JSON file beside the
-  session.
+  The task `statistics`: writes count, mean, deviation and range of every numeric stream to a JSON file next to the
+  session's recordings.
   """
   @behaviour Situ.Dataset.Task
 
@@ -10,13 +10,13 @@ defmodule Situ.Dataset.Task.Statistics do
     %{
       name: "statistics",
       about:
-        "count, mean, deviation and range of every stream of numbers, into a JSON file beside the recordings",
+        "count, mean, deviation and range of every numeric stream, in a JSON file next to the recordings",
       output: nil,
       options: [
         file: [
           type: :string,
           default: "statistics.json",
-          doc: "The file's name; the session's name comes before it."
+          doc: "The file's name, which follows the session's name."
         ]
       ]
     }
