@@ -1,11 +1,11 @@
 defmodule Situ.Cluster do
   @moduledoc """
-  One pipeline over several nodes, which goes on when a node is lost.
+  Runs one pipeline on several nodes, and keeps it running when a node is lost.
 
       # on every node (or in its supervision tree: {Situ.Cluster, log: ..., labels: [...]})
       {:ok, _} = Situ.Cluster.start_link(log: "/var/lib/situ/log", labels: ["camera"])
 
-      # on one of them
+      # on any of these nodes
       {:ok, deployment} =
         Situ.Cluster.deploy(Lobby,
           place: [{"Lips", on: "camera"}, {"Recording", on: :"situ@store.local"}],
@@ -13,50 +13,52 @@ defmodule Situ.Cluster do
         )
 
   Nodes are connected by Erlang distribution (`Node.connect/1`) and share one log (`Situ.Remote.Log`): a folder for
-  nodes of one machine, NATS for several.
+  nodes on one machine, or NATS for several machines.
 
   ## Parts
 
-  The rules of `place:` cut the graph into parts: a rule names a component or a composite, and takes all below it; what
-  no rule names is the part `"rest"`. A part runs on one node, as a pipeline of its own; streams between parts are
-  GenStage edges with the same back-pressure, from its publisher to the parts that read it; the log is written beside
-  them, for takeover. Streams that all their readers take by a lossy policy, and those of `direct:`, bypass it.
+  The rules of `place:` split the graph into parts. A rule names a component or a composite and takes everything below
+  it; all other components belong to the part `"rest"`. A part runs on one node as a separate pipeline. Streams
+  between parts are GenStage edges with the same back-pressure, from a part's publisher to the parts that read it.
+  They are also written to the log, for takeover. A stream bypasses the log if all of its readers use a lossy policy,
+  or if `direct:` names it.
 
-  Sources of a part that waits for what it puts out itself, through others, are a part of their own beside it
-  (`"rest sources"`), placed by the same rule.
+  If a part waits, through other parts, for its own outputs, its sources become a separate part (`"rest sources"`),
+  which is placed by the same rule.
 
-  Every node has the module and builds the same graph. `build/2` is called on each of them, with the same options.
+  Every node must have the module and builds the same graph: `build/2` is called on each node with the same options.
 
-  ## A node is lost
+  ## When a node is lost
 
-  Each part has a lease in the log, which its node writes again every quarter of `lease:`. When that stops (or, sooner,
-  when Erlang says that the node is down) another node takes it: it fences the part's streams, so that the old node
-  cannot write any more even if it is still alive, starts the part from its last checkpoint and reads its inputs from
-  there. Values and originating times are as without the loss:
+  Each part has a lease in the log, which its node renews every quarter of `lease:`. When the renewals stop, or
+  earlier when Erlang reports the node down, another node takes the part over. It fences the part's streams, so that
+  the old node can no longer write even if it is still alive, starts the part from its last checkpoint and reads its
+  inputs from that position. Values and originating times are the same as without the loss:
 
-    * by default what a part puts out is seen by nobody before a checkpoint holds it (the outbox): right for every part,
-      and its outputs come with its checkpoints, every `checkpoint:`;
-    * a part declared `deterministic: true` is seen at once: started again it makes the same, and what is there
-      already is passed over. Its inputs alone, their values and originating times, must decide what it puts out: use
-      reproducible operators, no clock, no randomness.
+    * By default, the outputs of a part become visible only when a checkpoint contains them (the outbox). This is
+      correct for every part, but the outputs appear only every `checkpoint:`.
+    * The outputs of a part declared `deterministic: true` are visible immediately. When the part is restarted, it
+      produces the same outputs again, and those already published are skipped. Its outputs must depend only on the
+      values and originating times of its inputs: use reproducible operators, no clock and no randomness.
 
-  A component whose state is not plain data has `c:Situ.Component.snapshot/1` and `c:Situ.Component.restore/2`. A
-  deterministic part without them is started again from the first message of its inputs; any other part that others
-  read is refused, with an error that names the component.
+  A component whose state is not plain data needs `c:Situ.Component.snapshot/1` and `c:Situ.Component.restore/2`. A
+  deterministic part with a component that lacks them is restarted from the first message of its inputs. Any other
+  such part that has readers is rejected, with an error that names the component.
 
-  Sources on a lost device are lost with it: the cluster does not make up data that no device recorded.
+  Sources on a lost device are lost with it: the cluster does not invent data that no device recorded.
 
   ## Limits
 
-  Messages under way on a direct stream when a node is lost are lost. A recording cannot be carried over: a part that
-  records is started again from the first message of the log, into a new version, and fails where `retain:` has taken
-  that away. `Situ.Pipeline.on/4` handlers run with the part `"rest"` and with parts that record; those of a resource
-  (a recording, a link) with the parts that use it. The log of a finished deployment stays until `prune/2` deletes it.
-  An upgrade does not change the graph.
+  When a node is lost, messages in flight on a direct stream are lost. A recording cannot be carried over: a part that
+  records is restarted from the first message of the log, writes a new version, and fails if `retain:` has deleted
+  that message. `Situ.Pipeline.on/4` handlers run with the part `"rest"` and with parts that record; the handlers of
+  a resource (a recording, a link) run with the parts that use it. The log of a finished deployment remains until
+  `prune/2` deletes it. An upgrade cannot change the graph.
 
-  The log contains the deployments too. Nodes that were all lost at once run them again when they are back, except those
-  that have ended or were forgotten. The log's entries are sealed with the cluster's cookie. An entry that somebody else
-  wrote, changed or moved is never data, and the part that reads it fails with the reason.
+  The log also contains the deployments. If all nodes were lost, they run the deployments again when they are back,
+  except deployments that ended or were forgotten. The log's entries are sealed with the cluster's cookie. An entry
+  that was written, changed or moved by anybody else is never used as data, and the part that reads it fails with the
+  reason.
 
   ## Options of `deploy/2`
 
@@ -83,27 +85,28 @@ defmodule Situ.Cluster do
     devices: [
       type: {:list, :string},
       default: [],
-      doc: "The devices plugged in here, by the names that rules `on: {:near, device}` use."
+      doc:
+        "The devices connected to this node, by the names that rules `on: {:near, device}` use."
     ],
     recordings: [
       type: {:optional, :string},
       default: nil,
-      doc: "A folder whose recordings every node may open (`Situ.Cluster.Recordings`)."
+      doc: "A folder whose recordings can be opened from every node (`Situ.Cluster.Recordings`)."
     ]
   ]
 
-  # A node of a busy cluster gets this long to answer.
+  # A node may be busy, so it gets this long to reply.
   @answer_ms 5_000
 
-  @typedoc "The result of `deploy/2`; it is valid on every node."
+  @typedoc "The result of `deploy/2`, which is valid on every node."
   @type t :: Deployment.t()
 
-  @doc "For a supervisor: `{Situ.Cluster, log: address, labels: [...]}`."
+  @doc "Returns a child specification, for `{Situ.Cluster, log: address, labels: [...]}` in a supervision tree."
   @spec child_spec(keyword()) :: Supervisor.child_spec()
   def child_spec(opts), do: %{id: __MODULE__, start: {__MODULE__, :start_link, [opts]}}
 
   @doc """
-  Makes this node a member of the cluster. Waits for a NATS server that is not running yet, and logs the reason.
+  Makes this node a member of the cluster. If a NATS server is not running yet, logs the reason and waits for it.
 
   #{Options.docs(@schema)}
   """
@@ -120,7 +123,7 @@ defmodule Situ.Cluster do
            )
   end
 
-  @doc "As `start_link/1`, for shells and scripts: it does not end with its caller."
+  @doc "Does the same as `start_link/1`, but the member does not end with its caller; for shells and scripts."
   @spec join(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def join(opts) do
     with {:ok, agent} <- start_link(opts) do
@@ -130,11 +133,11 @@ defmodule Situ.Cluster do
   end
 
   defp log(%Log{} = log, _opts), do: {:ok, log}
-  # The node waits for a server that is not running yet, as it does for a lost one.
+  # The node waits for a server that is not running yet, as for a lost server.
   defp log("nats://" <> _ = address, opts), do: Log.connect(address, [wait: true] ++ opts)
   defp log(address, opts), do: Log.connect(address, opts)
 
-  @doc "Runs a pipeline over the cluster; options above."
+  @doc "Runs a pipeline on the cluster, with the options listed above."
   @spec deploy(module(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def deploy(module, opts \\ []) do
     with {:ok, deployment} <- Deployment.new(module, opts),
@@ -147,14 +150,15 @@ defmodule Situ.Cluster do
       :ok
     else
       {:error,
-       Error.new(:no_cluster, "this node is no member of a cluster",
+       Error.new(:no_cluster, "this node is not a member of a cluster",
          fix: "start it with Situ.Cluster.start_link(log: ...)"
        )}
     end
   end
 
   @doc """
-  Waits until all parts have ended; `{:error, error}` when one has failed, or after `timeout` ms (`:timeout`).
+  Waits until all parts have ended. Returns `{:error, error}` when a part has failed, or after `timeout` ms
+  (`:timeout`).
   """
   @spec await(t(), timeout()) :: :ok | {:error, Error.t()}
   def await(%Deployment{} = deployment, timeout \\ :infinity) do
@@ -166,7 +170,7 @@ defmodule Situ.Cluster do
 
   defp log(%Deployment{run: run}), do: SealedLog.new(Agent.log(), run || "")
 
-  # A failed part is reported at once, even while others run; so is a refused entry in place of its state.
+  # A failed part is reported immediately, even while others are running. A rejected state entry counts as a failure.
   defp await(log, deployment, parts, till) do
     states =
       for part <- parts, do: {part, Log.last(log, {:key, Runner.key(deployment, part, "state")})}
@@ -205,7 +209,7 @@ defmodule Situ.Cluster do
 
   defp now, do: System.monotonic_time(:millisecond)
 
-  @doc "The messages of a stream that are in the log: one that crosses from part to part, or is in `publish:`."
+  @doc "Returns the messages of a stream in the log: a stream that crosses from part to part, or is in `publish:`."
   @spec read(t(), String.t()) :: {:ok, [Situ.Message.t()]} | {:error, Error.t()}
   def read(%Deployment{} = deployment, stream),
     do: read(log(deployment), {:stream, "#{deployment.name}.#{stream}"}, 1, [])
@@ -231,7 +235,7 @@ defmodule Situ.Cluster do
   end
 
   @doc """
-  Stops a deployment: its sources first; then the parts handle all posted messages. Returns at once; see `await/2`.
+  Stops the sources of a deployment; its parts then handle the messages already posted. Does not wait: see `await/2`.
   """
   @spec stop(t()) :: :ok
   def stop(%Deployment{} = deployment) do
@@ -242,19 +246,20 @@ defmodule Situ.Cluster do
     :ok
   end
 
-  @doc "Takes a deployment away on all nodes, at once; its log stays."
+  @doc "Removes a deployment from all nodes immediately; its log remains."
   @spec forget(t()) :: :ok | {:error, Error.t()}
   def forget(%Deployment{name: name}), do: Agent.forget(name)
 
-  @doc "Lists, for each deployment, running or ended, how much the cluster's log keeps of it."
+  @doc "Lists how much of each deployment the cluster's log contains, whether the deployment is running or has ended."
   @spec kept() :: {:ok, [Past.t()]} | {:error, Error.t()}
   def kept, do: with(:ok <- member(), do: Past.list(Agent.log()))
 
   @doc """
-  Deletes for good what the log keeps of a deployment that has ended (it is then forgotten, too) or that was forgotten.
-  One that runs is refused (`:in_use`), also when it runs on a cluster of others that uses the same log: the leases are
-  watched for `wait` ms, or half of that deployment's `lease:` if that is more. Returns the number of
-  subjects, streams and keys, that are gone.
+  Permanently deletes the log of a deployment that has ended (which is then also forgotten) or was forgotten.
+
+  Refuses a deployment that is running (`:in_use`), even on another cluster that uses the same log: the function
+  watches the leases for `wait` ms, or for half of that deployment's `lease:` if that is longer. Returns the number
+  of deleted subjects (streams and keys).
   """
   @spec prune(String.t(), non_neg_integer()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def prune(name, wait \\ 1_500) when is_binary(name) do
@@ -267,13 +272,13 @@ defmodule Situ.Cluster do
          do: {:ok, deleted}
   end
 
-  # Other nodes may write a lease once more until they have heard that it is forgotten.
+  # Other nodes may renew a lease once more before they learn that the deployment was forgotten.
   defp unused(kept, wait, tries) do
     with {:error, %{code: :in_use}} when tries > 1 <- Past.unused(Agent.log(), kept, wait),
          do: unused(kept, wait, tries - 1)
   end
 
-  # How often the leases are watched.
+  # Returns how many times to watch the leases.
   defp over(nil), do: {:ok, 1}
 
   defp over(deployment) do
@@ -284,8 +289,9 @@ defmodule Situ.Cluster do
   end
 
   @doc """
-  The members, with their labels, and of every part: which node runs it, its phase (`:running`, `:done`, `:failed`,
-  `:standby` when nobody has it at the moment), epoch of its lease, checkpoints, streams with their counts.
+  Returns the members with their labels, and the state of every part: its node, its phase (`:running`, `:done`,
+  `:failed`, or `:standby` when no node runs it), the epoch of its lease, its checkpoints, and its streams with their
+  counts.
   """
   @spec status(t()) :: %{members: map(), parts: %{String.t() => map()}}
   def status(%Deployment{} = deployment) do
@@ -318,8 +324,8 @@ defmodule Situ.Cluster do
   defp shown({_, node, info}), do: Map.put(info, :node, node)
 
   @doc """
-  Moves a part to a node, without losing a message: a checkpoint, then the other node takes it over. `{:error, error}`
-  when that node is no member.
+  Moves a part to another node without losing a message: the part takes a checkpoint, then the other node takes it
+  over. Returns `{:error, error}` if the node is not a member.
   """
   @spec move(t(), String.t(), node()) :: :ok | {:error, Error.t()}
   def move(%Deployment{} = deployment, part, to) do
@@ -335,7 +341,7 @@ defmodule Situ.Cluster do
 
       {runner, others} ->
         stood = for {_, other} <- others, do: {other, away(other)}
-        # Also a node that was drained takes what it is given.
+        # This also overrides an earlier drain of the target node.
         :ok = Runner.stand(runner, 0)
         for {other, away} <- stood, do: Runner.release(other, away + 1, self())
         answer = settle(deployment, part, to, now() + 60_000)
@@ -353,7 +359,7 @@ defmodule Situ.Cluster do
 
       _ ->
         if now() > till do
-          {:error, Error.new(:timeout, "#{to} did not take part #{part} over")}
+          {:error, Error.new(:timeout, "#{to} has not taken over part #{part} in time")}
         else
           receive do
           after
@@ -364,8 +370,8 @@ defmodule Situ.Cluster do
   end
 
   @doc """
-  Moves every part away from a node, which then takes no part unless no other node is left, or `move/3` gives it one. Of
-  two nodes that were drained the one drained first takes them.
+  Moves every part away from a node. The node then takes a part only if no other node is left, or if `move/3` assigns
+  it. If several nodes were drained, the first of them takes such a part.
   """
   @spec drain(t(), node()) :: :ok
   def drain(%Deployment{} = deployment, node) do
@@ -376,12 +382,12 @@ defmodule Situ.Cluster do
   end
 
   @doc """
-  Moves one part to a less busy node, if that helps: parts without a rule go anywhere, others where their first rule
-  allows. Measures for a second. Returns the part it moved, or `nil`.
+  Moves one part to a less busy node, if that helps. Parts without a rule can move anywhere, other parts to the nodes
+  that their first rule allows. Measures for one second. Returns the moved part and its new node, or `nil`.
 
-  The cost of a part is the time that its components spend on messages; the time of a device's driver or of `ffmpeg`
-  beside them counts for the machine only. With `balance:` among the options of `deploy/2` the cluster balances by
-  itself.
+  The cost of a part is the time that its components spend on messages. Other CPU time, such as that of a device
+  driver or of `ffmpeg`, counts only towards the load of the machine. With the option `balance:` of `deploy/2`, the
+  cluster balances its parts automatically.
   """
   @spec balance(t()) :: {:ok, {String.t(), node()} | nil} | {:error, Error.t()}
   def balance(%Deployment{} = deployment) do
@@ -407,7 +413,7 @@ defmodule Situ.Cluster do
     end
   end
 
-  # The time that its components have spent on messages so far, ns.
+  # Returns the time (ns) that the components of each part have spent on messages so far.
   defp busy(deployment) do
     for {part, node, snapshot} <- snapshots(deployment), into: %{} do
       spent = for %{kind: :process, busy: busy} <- snapshot.edges, do: busy
@@ -415,7 +421,7 @@ defmodule Situ.Cluster do
     end
   end
 
-  @doc "The deployment as one pipeline: a `Situ.Diagnostics.Snapshot` of all parts that run, joined."
+  @doc "Returns a `Situ.Diagnostics.Snapshot` of the running parts, merged as if they were one pipeline."
   @spec info(t()) :: Situ.Diagnostics.Snapshot.t()
   def info(%Deployment{} = deployment), do: Whole.merge(deployment.name, snapshots(deployment))
 
@@ -428,7 +434,7 @@ defmodule Situ.Cluster do
   defp snapshot(pid) do
     [Pipeline.info(pid)]
   rescue
-    # It has ended meanwhile.
+    # The pipeline has ended.
     Error -> []
   catch
     :exit, _ -> []
@@ -436,13 +442,13 @@ defmodule Situ.Cluster do
 
   defp parts(deployment), do: Overview.parts(deployment, Map.keys(Agent.info().members))
 
-  @doc "Nodes, parts, streams and links of the whole cluster now."
+  @doc "Returns the nodes, parts, streams and links of the whole cluster."
   @spec overview() :: Overview.t()
   defdelegate overview, to: Overview, as: :now
 
   @doc """
-  The parts that run on all nodes, by title, each with a function that finds its pipeline: the studio watches them
-  (`Situ.Studio`, `pipelines:`) as if they ran here, wherever they go meanwhile.
+  Returns the title of every running part on all nodes, each with a function that finds its pipeline. The studio can
+  watch them (`Situ.Studio`, `pipelines:`) as if they were local, even when they move to another node.
   """
   @spec pipelines() :: [{String.t(), (() -> pid() | nil)}]
   def pipelines do
@@ -455,15 +461,15 @@ defmodule Situ.Cluster do
   end
 
   @doc """
-  New code on every node while its parts run: modules as this node has them, or `{module, beam}`. See
-  `Situ.Cluster.Upgrade`.
+  Loads new code on every node while its parts are running. Takes modules, whose code is read on this node, or
+  `{module, beam}`. See `Situ.Cluster.Upgrade`.
   """
   @spec upgrade([module() | {module(), binary()}]) :: {:ok, [node()]} | {:error, Error.t()}
   def upgrade(modules) do
     with :ok <- member(), {:ok, code} <- Upgrade.code(modules), do: Upgrade.run(code)
   end
 
-  @doc "The last lines that a member has logged, behind line number `from`."
+  @doc "Returns the last lines that a member has logged after line number `from`."
   @spec logs(node(), non_neg_integer(), pos_integer()) ::
           {:ok, [Logs.line()]} | {:error, Error.t()}
   def logs(node \\ node(), from \\ 0, most \\ 200) do
@@ -473,7 +479,7 @@ defmodule Situ.Cluster do
       {:error, Error.new(:unreachable, "#{node} is lost: #{inspect(reason, limit: 5)}")}
   end
 
-  # A node that does not answer in time counts as one without runners.
+  # A node that does not reply in time counts as a node without runners.
   defp everywhere(deployment) do
     nodes = Map.keys(Agent.info().members)
 
@@ -483,7 +489,7 @@ defmodule Situ.Cluster do
     Map.merge(Map.new(nodes, &{&1, %{}}), Map.new(answers))
   end
 
-  @doc "How a pipeline would be cut into parts: their components' names, the streams between them."
+  @doc "Returns how a pipeline would be split: the names of the parts and the streams between them."
   @spec plan(module(), keyword()) ::
           {:ok, %{parts: [String.t()], streams: [map()]}} | {:error, Error.t()}
   def plan(module, opts \\ []) do

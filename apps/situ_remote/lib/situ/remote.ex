@@ -1,7 +1,7 @@
 defmodule Situ.Remote do
   @moduledoc """
-  Streams between machines, point to point: one side serves recordings, the other opens them over TCP, TLS or a Unix
-  socket.
+  Sends streams between machines, point to point: one side serves recordings, and the other opens them over TCP, TLS or
+  a Unix socket.
 
       {:ok, server} = Situ.Remote.serve("recordings/lobby", port: 11_411)           # being recorded, or finished
 
@@ -9,9 +9,9 @@ defmodule Situ.Remote do
       imu = Situ.Remote.stream(link, "imu")
       faces = Situ.Remote.stream(link, "faces", policy: Situ.Delivery.latest(), priority: 1)
 
-  The server sends recorded messages: those recorded while nobody was connected follow afterwards, in order, and none
-  twice. A lost link never closes a stream; the client tries again (50 ms to 5 s later) until the pipeline ends. A
-  stream that its recorder closed closes here too. Guide: *Links between machines*.
+  The server sends recorded messages. Messages that were recorded while nobody was connected follow later, in order and
+  without duplicates. A lost link never closes a stream; the client reconnects (after 50 ms to 5 s) until the pipeline
+  ends. A stream that its recorder closed is closed here, too. Guide: *Links between machines*.
 
       iex> root = Path.join(System.tmp_dir!(), "situ-doc-remote")
       iex> {:ok, _} = Situ.Pipeline.run(fn p ->
@@ -38,9 +38,10 @@ defmodule Situ.Remote do
       type: @from,
       default: :now,
       doc:
-        "`:now`; `:start` (of the newest version; of live streams, of all that is kept); an originating time;" <>
-          " `:resume`: behind what was taken last time, as `position:` has it; `{:after, recording}`: for each" <>
-          " stream behind the last message of that name in a recording here, which is exact however this side ended."
+        "`:now`; `:start` (of the newest version or, for live streams, of all messages still in memory); an" <>
+          " originating time; `:resume`: after the last message received, from the file `position:`; `{:after," <>
+          " recording}`: for each stream, after its last message in a local recording, which is exact even if this" <>
+          " side crashed."
     ],
     token: [type: :string, default: "", doc: "The secret that both sides share."],
     tls: [
@@ -51,46 +52,51 @@ defmodule Situ.Remote do
     position: [
       type: {:optional, :string},
       doc:
-        "With `:resume`: the file that keeps the positions; by default one for the address in the user's" <>
+        "With `:resume`: the file that stores the positions. The default is a file for the address in the user's" <>
           " state folder."
     ],
-    save_every: [type: :pos_integer, default: 1_000, doc: "How often positions are kept, ms."],
+    save_every: [type: :pos_integer, default: 1_000, doc: "How often to store the positions, ms."],
     wait: [
       type: :non_neg_integer,
       default: 5_000,
-      doc: "How long to wait for the server now, ms."
+      doc: "How long to wait for the server while opening the link, ms."
     ],
     now: [type: {:fun, 0}, doc: false]
   ]
 
   @stream_options [
-    type: [type: :any, doc: "The type of the data; needed when the server cannot be asked now."],
-    from: [type: @from, doc: "As the link's."],
+    type: [type: :any, doc: "The type of the data; required if the server cannot be reached now."],
+    from: [type: @from, doc: "Where to begin; by default the `from:` of the link."],
     policy: [
       type: {:struct, Delivery},
       doc:
-        "Lossless (default), or what the sender leaves out when the link is too thin: `latest`, `max_queue`," <>
-          " `max_latency`."
+        "The messages that the sender may drop if the link is too slow: none (default), or according to `latest`," <>
+          " `max_queue` or `max_latency`."
     ],
-    priority: [type: {:range, -100, 100}, default: 0, doc: "Higher ones are sent first."],
+    priority: [
+      type: {:range, -100, 100},
+      default: 0,
+      doc: "Streams with a higher priority are sent first."
+    ],
     datagrams: [
       type: {:or, [:boolean, {:integer, 46, 65_507}]},
       default: false,
       doc:
-        "With a `policy:` that loses: as UDP datagrams of this size (`true`: 1,200 bytes), encrypted. One that is" <>
-          " lost holds up nothing, and how many messages were lost is counted (`info/1`). Over a Unix socket it" <>
-          " makes no difference."
+        "With a lossy `policy:`: sends messages as encrypted UDP datagrams of this size (`true`: 1,200 bytes). A" <>
+          " lost datagram does not delay others, and lost messages are counted (`info/1`). Has no effect over a" <>
+          " Unix socket."
     ],
     times: [
       type: {:in, [:sender, :local]},
       default: :sender,
       doc:
-        "Times as the sender has them, or brought to this machine's clock by the offset that the link" <>
-          " estimates."
+        "`:sender` keeps the sender's times; `:local` converts them to this machine's clock by the offset that the" <>
+          " link estimates."
     ],
     window: [
       type: :pos_integer,
-      doc: "The most bytes that wait here; default 4 MiB, 256 KiB for a policy that loses."
+      doc:
+        "The maximum number of bytes buffered here; default 4 MiB, or 256 KiB for a lossy policy."
     ],
     name: [type: :string, doc: "The component's name."]
   ]
@@ -102,11 +108,11 @@ defmodule Situ.Remote do
   @type t :: %__MODULE__{}
 
   @doc """
-  Serves recordings: a path (every version of its name, one after the other), an open store, or a map of names to these.
-  During `build` also what `Situ.Store.create/4` gave (`pipeline: p` ends the server with the pipeline), and live
-  streams, a stream or `[{"name", stream}, ...]`, of which the last minute is kept in memory.
+  Serves recordings: a path (all versions of its name, one after the other), an open store, or a map of names to these.
+  During `build`, also serves the result of `Situ.Store.create/4` (`pipeline: p` ends the server with the pipeline) and
+  live streams: a stream or `[{"name", stream}, ...]`, whose last minute is kept in memory.
 
-  Listens on 127.0.0.1 unless `interface:` says otherwise, and then asks for a token or a certificate.
+  Listens on 127.0.0.1 unless `interface:` is given, and then requires a token or a certificate.
 
   #{Options.docs(Serving.options())}
   """
@@ -115,10 +121,10 @@ defmodule Situ.Remote do
   defdelegate serve(what, opts \\ []), to: Serving
 
   @doc """
-  During `build`: a link to a server; `stream/3` takes streams of it.
+  Opens a link to a server during `build`; `stream/3` then adds its streams.
 
-  Raises the `Situ.Error` when the server refuses (`:wrong_token`, `:wrong_version`, `:no_recording`) or is no server
-  of links (`:no_link`). One that cannot be reached is tried until the pipeline ends.
+  Raises the `Situ.Error` if the server refuses the link (`:wrong_token`, `:wrong_version`, `:no_recording`) or is not
+  a link server (`:no_link`). If the server cannot be reached, keeps trying until the pipeline ends.
 
   #{Options.docs(@link_options)}
   """
@@ -158,7 +164,7 @@ defmodule Situ.Remote do
     end
   end
 
-  @doc "The streams that the server has told of so far: names and types."
+  @doc "Returns the names and types of the streams that the server has announced so far."
   @spec streams(t()) :: %{String.t() => Situ.Type.t()}
   def streams(%__MODULE__{pid: pid}) do
     case Connection.catalogue(pid, 0) do
@@ -175,8 +181,8 @@ defmodule Situ.Remote do
   end
 
   @doc """
-  During `build`: a stream of the link. One that the server does not have yet begins when it has it; then `type:` is
-  needed.
+  Adds a stream of the link during `build`. If the server does not have the stream yet, it begins when the server does;
+  `type:` is then required.
 
   #{Options.docs(@stream_options)}
   """
@@ -206,10 +212,10 @@ defmodule Situ.Remote do
 
   defp datagram(size, policy) do
     unless Delivery.lossy?(policy) do
-      raise Error.new(:bad_option, "datagrams: needs a policy: that loses",
-              why: "what is lost on the way is not sent again",
+      raise Error.new(:bad_option, "datagrams: needs a lossy policy:",
+              why: "lost datagrams are not sent again",
               fix:
-                "add policy: Situ.Delivery.latest() (or max_queue, max_latency), or leave datagrams: out"
+                "add policy: Situ.Delivery.latest() (or max_queue, max_latency), or remove datagrams:"
             )
     end
 
@@ -227,7 +233,7 @@ defmodule Situ.Remote do
         fix =
           case Options.nearest(name, Map.keys(streams)) do
             nil ->
-              "give its type: to wait for it"
+              "give its type: to wait for the stream"
 
             near ->
               "did you mean #{inspect(near)}? Give type: to wait for a stream of another name"
@@ -236,7 +242,7 @@ defmodule Situ.Remote do
         raise Error.new(
                 :no_stream,
                 "no stream #{inspect(name)} at #{Address.to_string(link.address)}",
-                why: if(streams == %{}, do: "the server has not answered yet", else: nil),
+                why: if(streams == %{}, do: "the server has not responded yet", else: nil),
                 fix: fix
               )
     end
@@ -268,11 +274,12 @@ defmodule Situ.Remote do
   defp asked(_lossless), do: nil
 
   @doc """
-  Says how far a stream of the link is done with: `stream` is what the pipeline makes of the stream `name`, with its
-  originating times. From now on the position that `from: :resume` begins behind is the last of these, so a kill at any
-  moment loses nothing; what was under way comes once more. Without it the position is what the pipeline was handed.
+  Confirms the messages of a link's stream that the pipeline has finished processing. `stream` is the result of
+  processing the stream `name`, with the same originating times. The stored position for `from: :resume` is then the
+  time of its last message, so a kill at any moment loses nothing, and messages in flight are sent again. Without this
+  function, the position is the time of the last message passed to the pipeline.
 
-  Needs the sender's times (`times: :sender`). Returns the stream.
+  Requires the sender's times (`times: :sender`). Returns the stream.
 
       link = Situ.Remote.open(p, "situ://lab1/lobby", from: :resume)
       link |> Situ.Remote.stream("imu") |> Situ.each(&keep/1) |> Situ.Remote.confirm(link, "imu")
@@ -292,14 +299,15 @@ defmodule Situ.Remote do
   end
 
   @doc """
-  How the link is: `connected?`, `connections` so far, `bytes` received, the other clock's `offset`, `drift` and
-  `uncertainty` (ns), `round_trip`, and for each stream whether it was `found?`, `received`, `lost`, `position` ...
+  Returns the state of the link: `connected?`, the number of `connections` so far, `bytes` received, the other clock's
+  `offset`, `drift` and `uncertainty` (ns), `round_trip`, and for each stream whether it was `found?`, `received`,
+  `lost`, `position` ...
   """
   @spec info(t()) :: map()
   def info(%__MODULE__{pid: pid}), do: Connection.info(pid)
 
   @doc """
-  The links that pipelines of this node have open now: `address`, and what `info/1` tells of each.
+  Returns the links that pipelines of this node have open: the `address`, and the result of `info/1` for each.
   """
   @spec links() :: [map()]
   def links do
@@ -310,7 +318,7 @@ defmodule Situ.Remote do
         do: Map.put(info, :address, address)
   end
 
-  # It may be just about to end.
+  # The link may be closing at this moment.
   defp told(pid) do
     [Connection.info(pid)]
   catch
@@ -318,8 +326,8 @@ defmodule Situ.Remote do
   end
 
   @doc """
-  Where links lead that are known now: the configured names (`config :situ_remote, names: %{...}`), and what the other
-  processes at a rendezvous offer (`members` are of `Situ.Remote.Rendezvous.join/2`).
+  Returns the known servers: the configured names (`config :situ_remote, names: %{...}`), and the endpoints that other
+  processes at a rendezvous offer (`members` are the processes of `Situ.Remote.Rendezvous.join/2`).
 
       iex> Application.put_env(:situ_remote, :names, %{"lab1" => "situ://10.0.0.3"})
       iex> Situ.Remote.peers()

@@ -1,8 +1,8 @@
 defmodule Situ.Cluster.Agent do
   @moduledoc false
-  # This node as a member of the cluster: who else is there, which deployments there are, where each part runs. Says
-  # hello to every node that it sees; a part's runner (`Situ.Cluster.Runner`) is started for every part of every
-  # deployment, on every node, and the lease says which of them runs it.
+  # Represents this node in the cluster: knows the other members, the deployments, and the node that runs each part.
+  # Sends a hello to every node it sees. Every node starts a runner (`Situ.Cluster.Runner`) for every part of every
+  # deployment, and the lease decides which node runs the part.
   use GenServer
 
   alias Situ.Cluster.{Assembly, DeploymentLoader, Deployments, Logs, Member, Runner, Runners}
@@ -25,11 +25,11 @@ defmodule Situ.Cluster.Agent do
     followers: %{}
   ]
 
-  @doc "Starts it under its own name: there is one on a node."
+  @doc "Starts the agent under a registered name, since each node has only one."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts, name: __MODULE__)
 
-  @doc "Notes a deployment in the log and runs it. Returns it with its run."
+  @doc "Stores a deployment in the log and runs it. Returns the deployment with its run."
   @spec deploy(GenServer.server(), Situ.Cluster.Deployment.t()) ::
           {:ok, Situ.Cluster.Deployment.t()} | {:error, Situ.Error.t()}
   def deploy(agent \\ __MODULE__, deployment) do
@@ -54,9 +54,11 @@ defmodule Situ.Cluster.Agent do
     answer
   end
 
-  # It is deployed when another node knows it too: this one may be lost the next moment.
+  # Another node must know the deployment before it counts as deployed, since this node may be lost at any moment.
   defp spread(others, deployment, 0) do
-    Logger.warning("#{deployment.name}: none of #{inspect(others)} has taken note of it yet")
+    Logger.warning(
+      "#{deployment.name}: none of #{inspect(others)} has confirmed the deployment yet"
+    )
   end
 
   defp spread(others, deployment, left) do
@@ -66,31 +68,31 @@ defmodule Situ.Cluster.Agent do
     end
   end
 
-  @doc "Takes a deployment away, on all nodes."
+  @doc "Removes a deployment from all nodes."
   @spec forget(GenServer.server(), String.t()) :: :ok | {:error, Situ.Error.t()}
   def forget(agent \\ __MODULE__, name) do
     :ok = GenServer.call(agent, {:forget, name}, 60_000)
     Deployments.forget(log(agent), name)
   end
 
-  @doc "Members, deployments, and what runs here."
+  @doc "Returns the members, the deployments, and the node that runs each part."
   @spec info(GenServer.server()) :: map()
   def info(agent \\ __MODULE__), do: GenServer.call(agent, :info, 30_000)
 
-  @doc "The runners of this node for a deployment, by part."
+  @doc "Returns this node's runners of a deployment, by part."
   @spec runners(GenServer.server(), String.t(), timeout()) :: %{String.t() => pid()}
   def runners(agent \\ __MODULE__, name, timeout \\ 30_000),
     do: GenServer.call(agent, {:runners, name}, timeout)
 
-  @doc "How a deployment is cut, as this node runs it."
+  @doc "Returns the plan of a deployment as this node runs it."
   @spec plan(GenServer.server(), String.t()) :: Situ.Cluster.Plan.t() | nil
   def plan(agent \\ __MODULE__, name), do: GenServer.call(agent, {:plan, name}, 30_000)
 
-  @doc "The members with what rules of place ask of them."
+  @doc "Returns the members with the properties that placement rules use."
   @spec known(GenServer.server()) :: Placement.members()
   def known(agent \\ __MODULE__), do: GenServer.call(agent, :known, 30_000)
 
-  @doc "The log."
+  @doc "Returns the log."
   @spec log(GenServer.server()) :: Situ.Remote.Log.t()
   def log(agent \\ __MODULE__), do: GenServer.call(agent, :log)
 
@@ -191,7 +193,7 @@ defmodule Situ.Cluster.Agent do
     {:noreply, routed(state, part, epoch, pid)}
   end
 
-  # The supervisor has started a runner again. Its part may be forgotten, or have another runner already.
+  # The supervisor has restarted a runner. Its part may have been forgotten, or may already have another runner.
   def handle_cast({:runs, part, runner}, state) do
     known = state.runners[part]
 
@@ -213,7 +215,7 @@ defmodule Situ.Cluster.Agent do
     {:noreply, state}
   end
 
-  # Reading a stream of a part: the process hears where it is published, now and whenever that changes.
+  # The process wants to read a stream of the part, so it receives the current publisher and every later one.
   @impl true
   def handle_info({:situ_cluster, :follow, part, pid}, state) do
     Process.monitor(pid)
@@ -233,7 +235,7 @@ defmodule Situ.Cluster.Agent do
 
   def handle_info({:nodedown, node}, state) do
     if is_map_key(state.members, node),
-      do: Logger.warning("the node #{node} is lost: other nodes take its parts over")
+      do: Logger.warning("the node #{node} is lost: other nodes take over its parts")
 
     for {_, runner} <- state.runners, do: Runner.down(runner, node)
     {:noreply, put_members(state, Map.delete(state.members, node))}
@@ -260,7 +262,7 @@ defmodule Situ.Cluster.Agent do
     end
   end
 
-  # One that this node cannot build (it lacks the module) it does not run.
+  # A deployment that this node cannot build (the module is missing) does not run here.
   defp installed(state, deployment) do
     case install(state, deployment) do
       {:ok, state} ->

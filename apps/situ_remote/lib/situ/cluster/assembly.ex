@@ -5,7 +5,7 @@ defmodule Situ.Cluster.Assembly do
   alias Situ.{Error, Graph, Pipeline}
   alias Situ.Graph.Builder
 
-  @doc "The plan; nothing runs, and everything that `build/2` has opened is closed again."
+  @doc "Builds the plan of a deployment. Nothing is run, and everything that `build/2` opened is closed again."
   @spec plan(Deployment.t()) :: {:ok, Plan.t()} | {:error, Error.t()}
   def plan(%Deployment{module: module, opts: opts} = deployment) do
     {graph, _result} = Graph.build(&module.build(&1, opts))
@@ -21,7 +21,7 @@ defmodule Situ.Cluster.Assembly do
       {:error, Error.new(:build_failed, what)}
   end
 
-  @doc "Starts a part; `links`: agent, publisher, memories."
+  @doc "Starts a part. `links` contains the agent, the publisher and the memories to resume from."
   @spec start(Deployment.t(), Plan.t(), String.t(), map()) :: {:ok, pid()} | {:error, Error.t()}
   def start(%Deployment{module: module, opts: opts} = deployment, plan, part, links) do
     options = %{
@@ -50,8 +50,8 @@ defmodule Situ.Cluster.Assembly do
   end
 
   # Handlers close the recordings and links that `build/2` has opened. The handlers of a resource run with the
-  # components that use it. A resource that other parts use is given up here, or each part would leave an empty
-  # recording. All other handlers run with the part that no rule names, and with parts that record.
+  # components that use it. A resource that only other parts use is closed here; otherwise each part would leave an
+  # empty recording. All other handlers run with the main part and with parts that record.
   defp handlers(graph, whole, plan, part) do
     main? = part == Plan.main(plan)
     records? = Enum.any?(graph.vertices, fn {_, v} -> v.module == Situ.Store.Sink end)
@@ -74,7 +74,7 @@ defmodule Situ.Cluster.Assembly do
   defp uses?(graph, resource),
     do: Enum.any?(graph.vertices, fn {_, vertex} -> option_uses?(vertex.opts, resource) end)
 
-  # The options of operators are not a keyword list.
+  # The options of operators are not always a keyword list.
   defp option_uses?([{_name, value} | rest], resource),
     do: value == resource or in_tuple?(value, resource) or option_uses?(rest, resource)
 

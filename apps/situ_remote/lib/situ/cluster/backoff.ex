@@ -1,9 +1,9 @@
 defmodule Situ.Cluster.Backoff do
   @moduledoc false
-  # How long a node waits before it takes a part again that it has lost lately. An overloaded node loses leases, and
-  # each takeover adds to its load, so without a growing wait such nodes would never come to rest. Pure.
+  # Computes how long a node waits before it takes a part that it has lost recently. An overloaded node loses leases,
+  # and each takeover adds to its load, so without a growing delay such nodes would never recover. Pure.
 
-  # In leases.
+  # Both are in multiples of the lease.
   @most 16
   @forgotten 60
 
@@ -20,8 +20,8 @@ defmodule Situ.Cluster.Backoff do
   end
 
   @doc """
-  Returns the ms to wait beyond the lease: none after the first loss, then twice as long each time, up to #{@most}
-  leases.
+  Returns the ms to wait beyond the lease: zero after the first loss, then twice as long after each loss, up to
+  #{@most} leases.
 
       iex> alias Situ.Cluster.Backoff
       iex> backoff = Enum.reduce(1..3, %Backoff{}, &Backoff.add_loss(&2, &1 * 1_000, 1_000))

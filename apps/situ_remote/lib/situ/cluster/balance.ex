@@ -1,10 +1,10 @@
 defmodule Situ.Cluster.Balance do
   @moduledoc """
-  Which part should move, so that no node is busy while another idles. Pure.
+  Chooses a part to move when one node is busy and another is idle. Pure.
 
-  A part moves from the busiest node that has one to move, to the idlest node that its rule allows as well, when the
-  busier of the two is then less busy by a tenth of a core at least: moving costs a checkpoint, and what swings is not
-  worth one.
+  A part moves from the busiest node that has a movable part to the idlest node that its rule allows, provided that
+  the busier of the two nodes then has at least a tenth of a core less load. A move costs a checkpoint, so smaller
+  and fluctuating differences are not worth it.
 
       iex> nodes = %{a@h: %{busy: 1.8, cores: 2}, b@h: %{busy: 0.1, cores: 2}}
       iex> lips = %{part: "Lips", node: :a@h, cost: 1.0, on: [:a@h, :b@h]}
@@ -20,7 +20,7 @@ defmodule Situ.Cluster.Balance do
   @type nodes :: %{node() => %{busy: float(), cores: pos_integer()}}
   @type part :: %{part: String.t(), node: node(), cost: float(), on: [node()]}
 
-  @doc "The one move that helps most, or `nil`."
+  @doc "Returns the part and target node of the most effective move, or `nil`."
   @spec move(nodes(), [part()]) :: {String.t(), node()} | nil
   def move(nodes, parts) do
     tried =
@@ -40,7 +40,7 @@ defmodule Situ.Cluster.Balance do
     end
   end
 
-  # By how many cores the busier of the two is less busy, as parts of a core of each.
+  # Returns by how many cores the load of the busier node falls.
   defp gain(from, to, cost) do
     before = max(from.busy / from.cores, to.busy / to.cores)
     behind = max((from.busy - cost) / from.cores, (to.busy + cost) / to.cores)

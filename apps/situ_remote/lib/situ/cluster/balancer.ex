@@ -1,8 +1,8 @@
 defmodule Situ.Cluster.Balancer do
   @moduledoc false
-  # Checks regularly whether a part of a deployment with `balance:` should move. The first of the members does it for
-  # all. If two members both think that they are the first, a part moves twice, which does no harm. The balancer reads
-  # the agent's table instead of calling the agent: a call to a busy agent could time out and end both.
+  # Checks regularly whether a part of a deployment with `balance:` should move. The first member checks for all. If
+  # two members both consider themselves the first, a part moves twice, which does no harm. The balancer reads the
+  # agent's table instead of calling the agent, since a call to a busy agent could time out and end both.
   use GenServer
   alias Situ.Cluster.Member
   require Logger
@@ -49,7 +49,7 @@ defmodule Situ.Cluster.Balancer do
         Logger.warning(Exception.message(error))
     end
   catch
-    # A node was lost meanwhile.
+    # A node was lost during the move.
     :exit, _ -> :ok
   end
 

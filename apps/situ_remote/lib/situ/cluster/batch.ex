@@ -1,8 +1,8 @@
 defmodule Situ.Cluster.Batch do
   @moduledoc false
-  # Messages of one stream on their way to other parts and into the log: packed once, for all of them. Small data is
-  # bytes from there on, which processes share and distribution copies as they are; large data (pictures) stays as it
-  # is, since packing would copy it. Pure.
+  # Messages of one stream, on the way to other parts and into the log. They are packed once for all recipients. Small
+  # data is packed into a binary, which processes share and distribution copies unchanged. Large data (images) is not
+  # packed, since packing would copy it. Pure.
   alias Situ.Message
 
   @large 1_024
@@ -11,7 +11,7 @@ defmodule Situ.Cluster.Batch do
   defstruct @enforce_keys
 
   @typedoc """
-  `first`, `last`: sequence ids, without gaps between; `time`, `made`: originating and creation time of the last
+  `first`, `last`: sequence ids, without gaps in between; `time`, `made`: originating and creation time of the last
   message; `body`: rows of originating time, creation time and data, packed or not.
   """
   @type row :: {Situ.Time.t(), Situ.Time.t(), term()}
@@ -25,19 +25,19 @@ defmodule Situ.Cluster.Batch do
           body: body()
         }
 
-  @doc "From rows, newest first; the newest has sequence id `last`."
+  @doc "Builds a batch from rows, newest first; the newest row has sequence id `last`."
   @spec new(nonempty_list(row()), pos_integer()) :: t()
   def new([{time, made, data} | _] = rows, last) do
     n = length(rows)
     weight = :erlang.external_size(data)
     rows = :lists.reverse(rows)
-    # One is weighed for all.
+    # Only the newest message is measured, since measuring each would cost too much.
     body = if weight < @large, do: :erlang.term_to_binary(rows), else: rows
     bytes = if is_binary(body), do: byte_size(body), else: n * weight
     %__MODULE__{first: last - n + 1, last: last, time: time, made: made, bytes: bytes, body: body}
   end
 
-  @doc "From messages, oldest first, with their sequence ids."
+  @doc "Builds a batch from messages with sequence ids, oldest first."
   @spec pack(nonempty_list(Message.t())) :: t()
   def pack([first | _] = messages) do
     rows = for m <- messages, do: {m.originating_time, m.creation_time, m.data}
@@ -50,7 +50,7 @@ defmodule Situ.Cluster.Batch do
   @spec messages(t()) :: [Message.t()]
   def messages(%__MODULE__{first: first, body: body}), do: body |> rows() |> messages(first)
 
-  @doc "Messages of rows; the first has sequence id `first`."
+  @doc "Converts rows to messages; the first message has sequence id `first`."
   @spec messages([row()], pos_integer()) :: [Message.t()]
   def messages([], _first), do: []
 
@@ -66,12 +66,12 @@ defmodule Situ.Cluster.Batch do
     [message | messages(rest, first + 1)]
   end
 
-  @doc "Packed by a node of this cluster: it came by distribution, or under the cluster's seal."
+  @doc "Unpacks a body, which must come from a node of this cluster: by distribution, or under the cluster's seal."
   @spec rows(body()) :: [row()]
   def rows(body) when is_binary(body), do: :erlang.binary_to_term(body)
   def rows(body) when is_list(body), do: body
 
-  @doc "The messages behind sequence id `last`."
+  @doc "Returns a batch of the messages after sequence id `last`, or `nil` if there are none."
   @spec behind(t(), non_neg_integer()) :: t() | nil
   def behind(%__MODULE__{first: first} = batch, last) when last < first, do: batch
   def behind(%__MODULE__{last: own}, last) when last >= own, do: nil
@@ -79,7 +79,7 @@ defmodule Situ.Cluster.Batch do
   def behind(%__MODULE__{} = batch, last),
     do: batch |> messages() |> Enum.drop(last - batch.first + 1) |> pack()
 
-  @doc "Two of one, where there is more than one message."
+  @doc "Splits a batch of at least two messages into two."
   @spec halves(t()) :: {t(), t()}
   def halves(%__MODULE__{first: first, last: last} = batch) when last > first do
     {one, two} = batch |> messages() |> Enum.split(div(last - first + 1, 2))

@@ -1,7 +1,8 @@
 defmodule Situ.Cluster.Checkpoint do
   @moduledoc false
-  # The checkpoints of a part: two keys of the log, written in turn, so that the one before is whole whatever happens to
-  # the next. `current` is the newest that the log bears out: for every stream, what it builds on is there.
+  # The checkpoints of a part: two keys of the log, written alternately, so that the previous checkpoint stays intact
+  # if writing the next one fails. `current` is the newest checkpoint that the log supports: for every stream, the log
+  # contains all messages that the checkpoint builds on.
   alias Situ.Cluster.Seal
   alias Situ.Error
   alias Situ.Remote.Log
@@ -13,7 +14,8 @@ defmodule Situ.Cluster.Checkpoint do
   defstruct [:key, :current, number: 0, seqs: %{}]
 
   @typedoc """
-  `base`: sequence ids that must be in the log for it to hold; `pending`: what it has put out behind them, by stream.
+  `base`: the sequence ids that the log must contain for the checkpoint to be valid; `pending`: the later outputs of
+  the part that the checkpoint itself contains, by stream.
   """
   @type current :: %{
           memories: map() | :done,
@@ -27,7 +29,7 @@ defmodule Situ.Cluster.Checkpoint do
           seqs: %{non_neg_integer() => non_neg_integer()}
         }
 
-  @doc "Takes the checkpoints over for `epoch`: an older owner's are refused from here on."
+  @doc "Takes over the checkpoints for `epoch`; from now on, writes of an older owner are refused."
   @spec take(Log.t(), String.t(), pos_integer(), map()) :: {:ok, t()} | {:error, Error.t()}
   def take(log, key, epoch, marks) do
     Enum.reduce_while(0..(@slots - 1), {:ok, %__MODULE__{key: key}}, fn slot, {:ok, checkpoint} ->
@@ -74,12 +76,12 @@ defmodule Situ.Cluster.Checkpoint do
   defp borne_out?(%{base: base}, marks),
     do: Enum.all?(base, fn {name, last} -> last <= Map.get(marks, name, 0) end)
 
-  @doc "The memories that the part continues from."
+  @doc "Returns the memories that the part continues from."
   @spec memories(t()) :: map() | nil | :done
   def memories(%__MODULE__{current: nil}), do: nil
   def memories(%__MODULE__{current: %{memories: memories}}), do: memories
 
-  @doc "Writes the next one."
+  @doc "Writes the next checkpoint."
   @spec store(t(), Log.t(), pos_integer(), current()) :: {:ok, t()} | {:error, Error.t()}
   def store(%__MODULE__{} = checkpoint, log, epoch, current) do
     number = checkpoint.number + 1
@@ -94,7 +96,7 @@ defmodule Situ.Cluster.Checkpoint do
     case Log.append(log, {:key, "#{checkpoint.key}.#{slot}"}, checkpoint.seqs[slot], entry) do
       {:ok, seq} ->
         seqs = Map.put(checkpoint.seqs, slot, seq)
-        # The pending messages will be in the log soon, so the checkpoint need not keep them.
+        # The pending messages will be in the log soon, so this copy need not keep them.
         {:ok, %{checkpoint | number: number, seqs: seqs, current: %{current | pending: %{}}}}
 
       {:refused, _} ->

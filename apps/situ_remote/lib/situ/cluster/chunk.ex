@@ -1,16 +1,16 @@
 defmodule Situ.Cluster.Chunk do
   @moduledoc false
-  # Messages of one stream as entries of the log, and back. The log seals head and data together
-  # (`Situ.Cluster.SealedLog`). The head says what is in it:
+  # Converts messages of one stream to entries of the log and back. The log seals head and data together
+  # (`Situ.Cluster.SealedLog`). The head describes the content:
   #
-  #   First, Last   sequence ids (a fence has Last alone: where the stream stands)
+  #   First, Last   sequence ids (a fence has only Last: the position of the stream)
   #   Time, Made    originating and creation time of the last message
   #   Kind          data or fence         Epoch  of the writer's lease       Closing  the time at which the stream ends
   alias Situ.Cluster.{Batch, Seal}
   alias Situ.Message
   alias Situ.Remote.Log.Entry
 
-  @doc "Where a stream stands: its last message, and when it closed."
+  @doc "The position of a stream: its last message, and the time at which it closed."
   @type mark :: %{
           last: non_neg_integer(),
           time: Situ.Time.t() | nil,
@@ -31,12 +31,12 @@ defmodule Situ.Cluster.Chunk do
     }
   end
 
-  @doc "An empty entry that says where the stream stands: writes of older epochs are refused from here on."
+  @doc "Builds an empty entry with the position of the stream. Once it is written, writes of older epochs are refused."
   @spec fence(mark(), pos_integer(), String.t()) :: Entry.t()
   def fence(mark, epoch, op),
     do: %Entry{op: op, head: Map.merge(head(mark, epoch), %{"Kind" => "fence"})}
 
-  @doc "Batches, behind which the stream stands at `mark`."
+  @doc "Builds an entry of batches; `mark` is the position of the stream after them."
   @spec data([Batch.t()], mark(), pos_integer(), String.t()) :: Entry.t()
   def data(batches, mark, epoch, op) do
     first = with [%{first: id} | _] <- batches, do: id, else: (_ -> mark.last + 1)
@@ -56,7 +56,7 @@ defmodule Situ.Cluster.Chunk do
     for {key, value} <- pairs, value != nil, into: %{}, do: {key, Integer.to_string(value)}
   end
 
-  @doc "The messages of an entry that was read from a sealed log."
+  @doc "Returns the messages of an entry that was read from a sealed log."
   @spec messages(Entry.t()) :: {:ok, [Message.t()]} | {:error, Situ.Error.t()}
   def messages(%Entry{data: ""}), do: {:ok, []}
 

@@ -1,15 +1,15 @@
 defmodule Situ.Cluster.Cut do
   @moduledoc false
-  # The graph of one part: its own components, an inlet for every stream that comes from another part, an outlet for
-  # every stream that leaves it. Pure.
+  # Builds the graph of one part: its own components, an inlet for every stream that comes from another part, and an
+  # outlet for every stream that leaves it. Pure.
   alias Situ.Cluster.{Inlet, Outlet, Plan}
   alias Situ.{Delivery, Graph}
   alias Situ.Graph.{Edge, Extension, Vertex}
 
-  # A larger window than inside a part: batches are what makes the way to another node cheap.
+  # The window is larger than inside a part, since sending to another node is efficient only in batches.
   @window 4_000
 
-  @doc "`links`: the options of inlets (given the stream) and of outlets (given the stream)."
+  @doc "Builds the graph of part `name`; the functions in `links` return the options of a stream's inlet and outlet."
   @spec part(Graph.t(), Plan.t(), String.t(), %{inlet: fun(), outlet: fun()}) :: Graph.t()
   def part(%Graph{} = graph, plan, name, links) do
     %{ids: ids} = Map.fetch!(plan.parts, name)
@@ -18,15 +18,15 @@ defmodule Situ.Cluster.Cut do
     kept = Enum.reduce(inlets(graph, plan, ids), kept, &inlet(&1, &2, graph, links.inlet))
     kept = Enum.reduce(Plan.outlets(plan, name), kept, &outlet(&1, &2, links.outlet))
 
-    # Without a source of its own it runs by the clock on the wall: its inputs say what time it is.
+    # A part without sources runs by the wall clock, because its inputs determine its time.
     if sources?(graph, ids), do: kept, else: %{kept | proposals: []}
   end
 
-  @doc "Whether the part has a source of its own."
+  @doc "Returns whether the part contains a source."
   @spec sources?(Graph.t(), MapSet.t(pos_integer())) :: boolean()
   def sources?(graph, ids), do: Enum.any?(ids, &(graph.vertices[&1].inputs == []))
 
-  # Streams of other parts with the edges into this one.
+  # Returns the streams of other parts, each with its edges into this part.
   defp inlets(graph, plan, ids) do
     for {_, stream} <- plan.streams,
         not MapSet.member?(ids, elem(stream.from, 0)),
@@ -50,7 +50,7 @@ defmodule Situ.Cluster.Cut do
         path: "Inlet " <> stream.name,
         opts: options.(stream),
         outputs: [out: port],
-        # It has waited for its time where it was made; clocks of two machines differ.
+        # A message has already been held until its time in the part that made it, and the clocks of machines differ.
         holds: false
       })
 
@@ -81,7 +81,7 @@ defmodule Situ.Cluster.Cut do
     put(%{graph | next_edge: edge.id + 1}, edge)
   end
 
-  # A module that is not loaded seems to lack its optional callbacks.
+  # The optional callbacks of a module can only be detected once it is loaded.
   defp add(graph, %Vertex{module: module} = vertex) do
     Code.ensure_loaded!(module)
 

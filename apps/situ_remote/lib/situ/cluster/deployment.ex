@@ -1,6 +1,6 @@
 defmodule Situ.Cluster.Deployment do
   @moduledoc false
-  # The arguments of `Situ.Cluster.deploy/2`, parsed once and sent to every node, so plain data only.
+  # The arguments of `Situ.Cluster.deploy/2`, parsed once and sent to every node. They must therefore be plain data.
   alias Situ.{Error, Options}
 
   @where {:or, [:atom, :string, {:tuple, [{:in, [:near]}, :string]}]}
@@ -9,14 +9,14 @@ defmodule Situ.Cluster.Deployment do
     on: [
       type: {:or, [@where, {:list, @where}]},
       doc:
-        "A node, a label (text), `{:near, device}` (the node that has it, then those with the shortest way to" <>
-          " it), or several in order of preference; without it the least busy node."
+        "A node, a label (string), `{:near, device}` (the node with the device, then the nodes with the shortest" <>
+          " round trip to it), or a list in order of preference. Default: the least busy node."
     ],
-    only: [type: :boolean, default: false, doc: "Nowhere else, even when those are lost."],
+    only: [type: :boolean, default: false, doc: "Run on no other node, even if these are lost."],
     deterministic: [
       type: :boolean,
       default: false,
-      doc: "The same inputs give the same outputs, always: see above."
+      doc: "The same inputs always produce the same outputs (see above)."
     ]
   ]
 
@@ -27,44 +27,44 @@ defmodule Situ.Cluster.Deployment do
       type: :list,
       default: [],
       doc:
-        "`{\"Path\", rules}` for a component or composite and all below it; `{:rest, rules}` for all else."
+        "`{\"Path\", rules}` for a component or composite and everything below it; `{:rest, rules}` for all others."
     ],
     checkpoint: [
       type: :pos_integer,
       default: 1_000_000_000,
       doc:
-        "Ns between checkpoints of a part; outputs of a part that is not deterministic go out with them."
+        "Time between checkpoints of a part, ns. A part that is not deterministic publishes its outputs with them."
     ],
     lease: [
       type: :pos_integer,
       default: 1_000_000_000,
-      doc: "Ns without a sign of life after which another node takes a part over."
+      doc: "Time without a sign of life after which another node takes over a part, ns."
     ],
     retain: [
       type: {:or, [:pos_integer, {:in, [:all]}]},
       default: :all,
       doc:
-        "How much of each stream the log keeps, ns of originating time. A part that comes back after longer than" <>
-          " that fails (`:log_trimmed`): it cannot know what it has missed. A part that records, or whose components" <>
-          " cannot be carried over, begins with the first message: such a part needs `:all`."
+        "How much of each stream the log keeps, ns of originating time. A part that resumes after a longer time" <>
+          " fails (`:log_trimmed`), because messages are missing. A part that records, or that has components which" <>
+          " cannot be carried over, restarts from the first message and therefore needs `:all`."
     ],
     balance: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "Ns between looks at whether a part should move to a less busy node (`balance/1`)."
+      doc: "How often to check whether a part should move to a less busy node, ns (`balance/1`)."
     ],
     publish: [
       type: {:list, :string},
       default: [],
-      doc: "Streams kept in the log although no other part reads them (see `read/2`)."
+      doc: "Streams that the log keeps even if no other part reads them (see `read/2`)."
     ],
     direct: [
       type: {:list, :string},
       default: [],
       doc:
-        "Streams that cross from part to part and bypass the log: with back-pressure and without loss while all" <>
-          " nodes are well; what is under way when one is lost is lost. Streams that all their readers take by a" <>
-          " lossy policy are such, unless they are in `publish:`."
+        "Streams between parts that bypass the log. They have back-pressure and lose nothing while all nodes are" <>
+          " running; messages in flight are lost when a node is lost. A stream also bypasses the log if all of its" <>
+          " readers use a lossy policy, unless it is in `publish:`."
     ],
     pipeline: [
       type: :keyword,
@@ -75,7 +75,7 @@ defmodule Situ.Cluster.Deployment do
 
   @enforce_keys [:name, :module, :opts, :rules, :checkpoint, :lease] ++
                   [:retain, :balance, :publish, :direct, :pipeline]
-  # `Situ.Cluster.Deployments` sets `run` when it notes the deployment in the log.
+  # `Situ.Cluster.Deployments` sets `run` when it stores the deployment in the log.
   defstruct [:run | @enforce_keys]
 
   @type rule :: %{
@@ -132,19 +132,23 @@ defmodule Situ.Cluster.Deployment do
       else:
         {:error,
          Error.new(:not_a_pipeline, "#{inspect(module)} is not a pipeline",
-           why: "every node builds it by itself, so it is a module, not a function",
-           fix: "use Situ.Pipeline in it, and have it on every node"
+           why:
+             "every node builds the pipeline itself, so it must be a module and not a function",
+           fix: "add `use Situ.Pipeline` to it, and make it available on every node"
          )}
   end
 
-  # Its log's subjects begin with it and a dot.
+  # The subjects of the log begin with the name and a dot.
   defp one_word(name) do
     if is_binary(name) and (name == "" or String.contains?(name, ".")),
       do:
         {:error,
-         Error.new(:bad_option, "a deployment's name has no dot: #{inspect(name)}",
-           why: "in the log a dot divides it from the names of its streams",
-           fix: "write - or _ instead"
+         Error.new(
+           :bad_option,
+           "invalid deployment name #{inspect(name)}: it is empty or contains a dot",
+           why:
+             "in the log, a dot separates the name of the deployment from the names of its streams",
+           fix: "use a name without dots, for example with - or _ instead"
          )},
       else: :ok
   end
@@ -165,7 +169,7 @@ defmodule Situ.Cluster.Deployment do
 
   defp rules([other | _], _rules) do
     {:error,
-     Error.new(:bad_place, "no rule of place: #{inspect(other, limit: 5)}",
+     Error.new(:bad_place, "invalid rule in place: #{inspect(other, limit: 5)}",
        fix: ~s(write {"Path", on: node} or {:rest, on: "label"})
      )}
   end

@@ -1,7 +1,7 @@
 defmodule Situ.Cluster.DeploymentLoader do
   @moduledoc false
-  # Installs the deployments in the log on a node that has just started, so that a cluster which lost all of its nodes
-  # runs them again. Deployments that have ended are not installed. Waits for a log that is away.
+  # Installs the deployments in the log on a node that has just started, so that a cluster that lost all of its nodes
+  # runs them again. Deployments that have ended are not installed. Waits while the log is unreachable.
   use Task, restart: :transient
 
   alias Situ.Cluster.{Assembly, Deployments, Runner, SealedLog}
@@ -18,12 +18,12 @@ defmodule Situ.Cluster.DeploymentLoader do
   def run(log, agent, warned?) do
     case load_all(log, agent) do
       :ok ->
-        if warned?, do: Logger.warning("the log answers now")
+        if warned?, do: Logger.warning("the log is reachable now")
         :ok
 
       {:error, %{code: :log_away} = error} ->
         unless warned?,
-          do: Logger.warning("this node waits for its log: #{Exception.message(error)}")
+          do: Logger.warning("this node is waiting for its log: #{Exception.message(error)}")
 
         receive do
         after
@@ -31,7 +31,9 @@ defmodule Situ.Cluster.DeploymentLoader do
         end
 
       {:error, error} ->
-        Logger.error("the deployments in the log do not run again: #{Exception.message(error)}")
+        Logger.error(
+          "the deployments in the log cannot be restarted: #{Exception.message(error)}"
+        )
     end
   end
 
@@ -40,7 +42,7 @@ defmodule Situ.Cluster.DeploymentLoader do
          do: Enum.find_value(deployments, :ok, &load_failure(log, agent, &1))
   end
 
-  # Only a log that is away holds up the rest. A deployment with a refused entry does not keep the others from running.
+  # Only an unreachable log stops the loop. A deployment with a refused entry must not keep the others from running.
   defp load_failure(log, agent, %{name: name} = deployment) do
     case load(log, agent, deployment) do
       :ok ->
@@ -51,7 +53,7 @@ defmodule Situ.Cluster.DeploymentLoader do
 
       {:error, error} ->
         Logger.error(
-          "the deployment #{inspect(name)} does not run again: #{Exception.message(error)}"
+          "the deployment #{inspect(name)} cannot be restarted: #{Exception.message(error)}"
         )
 
         nil
@@ -81,7 +83,7 @@ defmodule Situ.Cluster.DeploymentLoader do
         match?({:ok, %{head: %{"State" => how}}} when how in ["done", "failed"], state)
       end)
     else
-      # The agent says why it cannot be built.
+      # The agent reports the reason when it fails to build the deployment.
       {:error, _error} -> false
     end
   end

@@ -1,11 +1,12 @@
 defmodule Situ.Cluster.Deployments do
   @moduledoc false
-  # The deployments of a cluster in its log: one key holds all of them, so that nodes which were all lost at once can
-  # run them again. Each has a run, a random name that is part of the key of its seals. When a log was deleted and
-  # another deployment gets the same name, nodes refuse all entries of the earlier one.
+  # The deployments of a cluster in its log. One key holds all of them, so that the nodes can run them again after all
+  # of them were lost. Each deployment has a run, a random name that is part of the key of its seals. When a log was
+  # deleted and another deployment gets the same name, nodes refuse all entries of the earlier one.
   #
-  # A forgotten deployment keeps its run as long as its log exists, and continues where it was when it is deployed
-  # again. The log of a run has a mark, which is deleted together with it, even by somebody without the cookie.
+  # A forgotten deployment keeps its run as long as its log exists, and continues from its last position when it is
+  # deployed again. The log of a run has a mark, which is deleted together with it, even by somebody without the
+  # cookie.
   alias Situ.Cluster.{Deployment, Seal, SealedLog}
   alias Situ.Error
   alias Situ.Remote.Log
@@ -13,13 +14,13 @@ defmodule Situ.Cluster.Deployments do
 
   @tries 100
 
-  @typedoc "By name; `deployment` is `nil` when it was forgotten."
+  @typedoc "The deployments by name; `deployment` is `nil` when it was forgotten."
   @type known :: %{String.t() => %{run: String.t(), deployment: Deployment.t() | nil}}
 
   @doc """
-  Notes a deployment and gives it its run. One that is noted under the same name must be the same.
+  Stores a deployment and assigns its run. A deployment that is already stored under the same name must be equal to it.
 
-  After an error with the code `:log_away`, the same call finishes what the first one began.
+  After an error with the code `:log_away`, call the function again to complete the operation.
   """
   @spec put(Log.t(), Deployment.t()) :: {:ok, Deployment.t()} | {:error, Error.t()}
   def put(log, %Deployment{} = deployment) do
@@ -46,7 +47,7 @@ defmodule Situ.Cluster.Deployments do
 
   defp check_same(_unknown_or_forgotten, _deployment), do: :ok
 
-  # It keeps the run that it had, as long as the log of that run exists.
+  # The deployment keeps its previous run as long as the log of that run exists.
   defp choose_run(_log, _name, nil), do: {:ok, new_run()}
 
   defp choose_run(log, name, %{run: run}) do
@@ -63,7 +64,7 @@ defmodule Situ.Cluster.Deployments do
 
   defp mark_key(name), do: {:key, "run.#{name}.deployed"}
 
-  @doc "Returns whether the log of a run exists: somebody may have deleted it while no node was running."
+  @doc "Returns whether the log of a run exists. It may have been deleted while no node was running."
   @spec find_log(Log.t(), String.t(), String.t()) :: {:ok, boolean()} | {:error, Error.t()}
   def find_log(log, name, run) do
     with {:ok, mark} <- Log.last(SealedLog.new(log, run), mark_key(name)), do: {:ok, mark != nil}
@@ -71,7 +72,7 @@ defmodule Situ.Cluster.Deployments do
 
   defp new_run, do: Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
 
-  @doc "Notes that a deployment is not to run any more; its log stays."
+  @doc "Marks a deployment as no longer to be run; its log remains."
   @spec forget(Log.t(), String.t()) :: :ok | {:error, Error.t()}
   def forget(log, name) do
     change_known(log, fn known ->
@@ -79,18 +80,18 @@ defmodule Situ.Cluster.Deployments do
     end)
   end
 
-  @doc "Deletes the note of a deployment whose log was deleted."
+  @doc "Removes a deployment whose log was deleted."
   @spec delete(Log.t(), String.t()) :: :ok | {:error, Error.t()}
   def delete(log, name), do: change_known(log, &Map.delete(&1, name))
 
-  @doc "Returns the deployments that are to run."
+  @doc "Returns the deployments that should be running."
   @spec all(Log.t()) :: {:ok, [Deployment.t()]} | {:error, Error.t()}
   def all(log) do
     with {:ok, known, _seq} <- read(sealed(log)),
          do: {:ok, for({_, %{deployment: %Deployment{} = d}} <- Enum.sort(known), do: d)}
   end
 
-  @doc "Returns the error of a second deployment with the same name."
+  @doc "Returns the error for a second deployment with the same name."
   @spec duplicate_error(String.t()) :: Error.t()
   def duplicate_error(name) do
     Error.new(:duplicate_name, "there is already a deployment #{inspect(name)}",

@@ -1,11 +1,12 @@
 defmodule Situ.Cluster.Epmd do
   @moduledoc """
-  Erlang distribution without `epmd`, the daemon that knows every node's port: a node's name says it,
-  `situ-9301@lab1.local` listens on port 9301.
+  Provides Erlang distribution without `epmd`, the daemon that knows every node's port. The name of a node contains its
+  port: `situ-9301@lab1.local` listens on port 9301.
 
       elixir --name situ-9301@127.0.0.1 --erl "-start_epmd false -epmd_module Elixir.Situ.Cluster.Epmd -pa EBIN" ...
 
-  A name without a port (`iex@host`) gets any free port: such a node can connect to others, but is not found by them.
+  A node whose name has no port (`iex@host`) listens on any free port. It can connect to other nodes, but they cannot
+  find it.
 
       iex> Situ.Cluster.Epmd.port("situ-9301")
       {:ok, 9301}
@@ -13,10 +14,10 @@ defmodule Situ.Cluster.Epmd do
       :error
   """
 
-  # The version of the distribution protocol, as epmd tells it.
+  # The version of the distribution protocol, in the form that epmd reports it.
   @version 6
 
-  @doc "The port that a node's name (without its host) says."
+  @doc "Parses the port out of a node's name (without its host)."
   @spec port(String.t()) :: {:ok, :inet.port_number()} | :error
   def port(name) do
     with [_ | _] = parts <- String.split(name, "-"),
@@ -27,7 +28,7 @@ defmodule Situ.Cluster.Epmd do
     end
   end
 
-  # The functions that net_kernel and the distribution's carriers call, see erl_epmd.
+  # net_kernel and the distribution carriers call the following functions; see erl_epmd.
 
   @doc false
   def start_link, do: :ignore

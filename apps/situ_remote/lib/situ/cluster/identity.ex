@@ -1,33 +1,33 @@
 defmodule Situ.Cluster.Identity do
   @moduledoc """
-  The identity shared by a cluster's nodes: a cookie, certificates for TLS between them, and the files for their own
-  NATS server, in a folder that only its owner reads. Make it once, then copy it to every machine.
+  The identity that a cluster's nodes share: a cookie, certificates for TLS between them, and the files for their own
+  NATS server, in a folder that only its owner can read. Create it once, then copy it to every machine.
 
       cookie            the secret of Erlang's distribution and of the seals in the log
-      ca.pem            the cluster's own authority: nobody else's certificates count
+      ca.pem            the cluster's own authority; certificates of other authorities are rejected
       node.pem/.key     the certificate of every node
       nats.pem/.key     the certificate that a node shows to the NATS server
       nats-ca.pem       the authority of that server
-      nats-credentials  user and password there
-      nats-server/      for the machine of the NATS server alone: its configuration and certificates
+      nats-credentials  user and password for that server
+      nats-server/      only for the machine of the NATS server: its configuration and certificates
 
-  `bin/situ cluster` and `bin/situ-node` of a release give them to Erlang (`rel/overlays/bin/cluster-flags`).
+  `bin/situ cluster` and `bin/situ-node` of a release pass them to Erlang (`rel/overlays/bin/cluster-flags`).
   """
   alias Situ.{Certificate, Error}
   alias Situ.Cluster.NatsIdentity
 
   @days 3_652
 
-  @doc "Makes the folder; what is there already is not touched (`:exists`)."
+  @doc "Creates the folder with the identity; an existing identity is not changed (`:exists`)."
   @spec create(Path.t()) :: :ok | {:error, Error.t()}
   def create(folder) do
     folder = Path.expand(folder)
 
     if File.exists?(Path.join(folder, "cookie")) do
       {:error,
-       Error.new(:exists, "there is a cluster's identity in #{folder}",
-         why: "with a new one its nodes could no longer connect to each other",
-         fix: "delete the folder if no cluster uses it, or name another"
+       Error.new(:exists, "#{folder} already contains the identity of a cluster",
+         why: "nodes with a new identity could no longer connect to the existing ones",
+         fix: "delete the folder if no cluster uses it, or name another folder"
        )}
     else
       write(folder)
@@ -58,12 +58,12 @@ defmodule Situ.Cluster.Identity do
       {:error, reason} ->
         {:error,
          Error.new(:not_written, "#{folder}: #{:file.format_error(reason)}",
-           fix: "name a folder that can be written to"
+           fix: "name a writable folder"
          )}
     end
   end
 
-  # Never readable by others, not even for a moment.
+  # The permissions are set before the content is written, so that no other user can ever read a file.
   defp all(files, folder) do
     Enum.reduce_while(files, :ok, fn {name, text}, :ok ->
       path = Path.join(folder, name)
@@ -76,8 +76,8 @@ defmodule Situ.Cluster.Identity do
     end)
   end
 
-  # Called by ssl, and named in cluster-flags. The chain has been checked; a node is known by its certificate, not by
-  # the name of its host.
+  # Called by ssl, and named in cluster-flags. ssl has already checked the chain. A node is identified by its
+  # certificate, not by the name of its host.
   @doc false
   @spec verify(term(), term(), term()) :: {:valid | :unknown, term()} | {:fail, term()}
   def verify(_certificate, {:bad_cert, :hostname_check_failed}, state), do: {:valid, state}
@@ -92,24 +92,24 @@ defmodule Situ.Cluster.Identity do
   def verify(_certificate, valid, state) when valid in [:valid, :valid_peer], do: {:valid, state}
 
   @doc """
-  Returns the options of `Situ.Remote.Log.connect/2` for a NATS server that was set up with this identity; `[]` for an
-  identity without one.
+  Returns the options of `Situ.Remote.Log.connect/2` for a NATS server that was set up with this identity, or `[]` for
+  an identity without NATS files.
   """
   @spec log_options(Path.t()) :: keyword()
   def log_options(folder), do: NatsIdentity.log_options(folder, {&verify/3, []})
 
-  @doc "The cookie in a folder."
+  @doc "Returns the cookie in a folder."
   @spec cookie(Path.t()) :: {:ok, atom()} | {:error, Error.t()}
   def cookie(folder) do
     case File.read(Path.join(folder, "cookie")) do
       {:ok, text} when byte_size(text) in 8..255 ->
-        # One atom, out of a file of our own.
+        # Creating an atom is safe here: it is a single one, and the file is our own.
         {:ok, text |> String.trim() |> String.to_atom()}
 
       _ ->
         {:error,
          Error.new(:no_cookie, "there is no cookie in #{folder}",
-           fix: "make one with `situ cluster init`, or copy the folder of another node"
+           fix: "create one with `situ cluster init`, or copy the folder of another node"
          )}
     end
   end

@@ -1,8 +1,9 @@
 defmodule Situ.Cluster.Inlet do
   @moduledoc false
-  # A stream of another part, wherever that runs: the consumer's side of a GenStage edge to its publisher. It knows
-  # how far it has come; when the publisher is lost it waits for the next one and goes on from there. A direct stream
-  # goes on with what is made then: its messages are told by their times, and numbered here.
+  # Receives a stream of another part, on any node: the consumer side of a GenStage edge to that part's publisher. It
+  # records its position in the stream; when the publisher is lost, it waits for the next publisher and continues from
+  # that position. A direct stream continues with the messages made from then on: the inlet identifies them by their
+  # times and numbers them itself.
   use Situ.Component,
     outputs: [out: :any],
     options: [
@@ -16,7 +17,7 @@ defmodule Situ.Cluster.Inlet do
   alias Situ.Cluster.{Batch, Member}
   alias Situ.Error
 
-  # As many messages as weigh so much are under way at once, between these numbers.
+  # Messages of about this total size are in flight at the same time, within the two limits for their number.
   @bytes 12 * 1024 * 1024
   @least 4
   @most 4_000
@@ -37,7 +38,7 @@ defmodule Situ.Cluster.Inlet do
   @impl true
   def restore(mark, fresh), do: {:ok, Map.merge(fresh, mark)}
 
-  # There is room: what was taken is asked for again, as soon as it is half of the window.
+  # Requests messages again as soon as half of the window is free.
   @impl true
   def handle_demand(_n, _context, %{sub: %{asked: asked, window: window} = sub} = state)
       when asked <= div(window, 2) do
@@ -62,7 +63,7 @@ defmodule Situ.Cluster.Inlet do
     end
   end
 
-  # As it was packed for the log.
+  # The batch arrives packed, as for the log.
   def handle_info({:"$gen_consumer", {_, ref} = from, {:situ_batch, first, body}}, context, state)
       when state.sub.ref == ref,
       do: handle_info({:"$gen_consumer", from, unpacked(body, first)}, context, state)
@@ -106,17 +107,19 @@ defmodule Situ.Cluster.Inlet do
 
   defp unpacked(body, first), do: body |> Batch.rows() |> Batch.messages(first)
 
-  # Numbers of a stream have no gaps: what lies between is not in the log any more.
+  # The sequence ids of a stream have no gaps, so the log no longer contains the missing messages.
   defp trimmed(state, id) do
-    Error.new(:log_trimmed, "the log lacks #{id - state.last - 1} messages of #{state.stream}",
-      why: "they were trimmed before this part had them",
+    Error.new(
+      :log_trimmed,
+      "#{id - state.last - 1} messages of #{state.stream} are missing in the log",
+      why: "they were trimmed before this part had received them",
       fix:
-        "give the deployment a longer retain:, or checkpoints to the part's components (snapshot/1)"
+        "give the deployment a longer retain:, or add snapshot/1 to the part's components for checkpoints"
     )
   end
 
-  # A deterministic part repeats its messages with new creation times, and this inlet may have seen some of them:
-  # creation times must not go back.
+  # After a restart, a deterministic part repeats its messages with new creation times, and this inlet may have seen
+  # some of them. Creation times must not decrease.
   defp made(%{creation_time: time} = message, made) when time >= made, do: {message, time}
   defp made(message, made), do: {%{message | creation_time: made}, made}
 

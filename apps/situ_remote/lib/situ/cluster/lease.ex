@@ -1,10 +1,11 @@
 defmodule Situ.Cluster.Lease do
   @moduledoc false
-  # Who runs a part: a key of the log that its owner writes again and again. `observe/3` is pure.
+  # The lease decides which node runs a part: it is a key of the log that its owner writes repeatedly. `observe/3` is
+  # pure.
   #
-  # No clocks are compared: the lease is free when its number has not changed for the lease's time on the observer's own
-  # clock. A look that took longer than a lease, or that comes late, says nothing about the owner: the observer starts
-  # counting again.
+  # Clocks are not compared: the lease is free when its number has not changed for the duration of the lease, measured
+  # by the observer's own clock. A look that took longer than a lease, or that is late, gives no information about the
+  # owner, so the observer starts counting again.
   alias Situ.Cluster.Seal
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
@@ -12,8 +13,8 @@ defmodule Situ.Cluster.Lease do
   defstruct [:seq, :since, :looked, :owner, gone: false, took: 0]
 
   @typedoc """
-  `seq` has been the lease's number since `since` (ms); `gone`: the owner's node was reported down; `took`: how long the
-  last look took, ms.
+  `seq`: the lease's number since `since` (ms); `gone`: the owner's node was reported down; `took`: the duration of the
+  last look, ms.
   """
   @type t :: %__MODULE__{
           seq: non_neg_integer() | nil,
@@ -28,8 +29,8 @@ defmodule Situ.Cluster.Lease do
   @type look :: {non_neg_integer(), String.t() | nil, integer(), integer()}
 
   @doc """
-  Takes in one reading of the lease: its `seq` and `owner`, and the times (ms) before and after. `wait` is how much
-  longer than the lease this observer waits, so that preferred nodes come first.
+  Evaluates one reading of the lease: its `seq` and `owner`, and the times (ms) before and after. This observer waits
+  `wait` ms longer than the lease, so that preferred nodes come first.
   """
   @spec observe(t(), look(), map()) :: {:take | :wait, t()}
   def observe(%__MODULE__{} = lease, {seq, owner, before, now}, %{
@@ -39,7 +40,7 @@ defmodule Situ.Cluster.Lease do
       }) do
     late? = lease.looked != nil and (now - before > ms or before - lease.looked > ms + 4 * poll)
 
-    # The time of a slow look does not count: on a busy machine the count goes on, but slower.
+    # The time of a slow look does not count, so the count continues on a busy machine, but more slowly.
     slow = if now - before > div(ms, 4), do: now - before, else: 0
     same? = lease.seq == seq and not late?
     since = if same?, do: lease.since + slow, else: now
@@ -58,19 +59,19 @@ defmodule Situ.Cluster.Lease do
   end
 
   @doc """
-  Notes that the owner has reported, by the connection between the nodes, that it wrote the lease under `seq`. The
-  report arrives after the write itself, so it is safe to count from here without a look at the log.
+  Records that the owner has reported, over the connection between the nodes, that it wrote the lease under `seq`. The
+  report arrives after the write itself, so it is safe to count from now on without a look at the log.
   """
   @spec hear(t(), pos_integer(), String.t(), integer()) :: t()
   def hear(%__MODULE__{} = lease, seq, owner, now),
     do: %{lease | seq: seq, owner: owner, since: now, looked: now, gone: false}
 
-  @doc "A node was reported down. This is only a hint; the fence makes it safe."
+  @doc "Records that a node was reported down. This is only a hint; the fence makes the takeover safe."
   @spec down(t(), node()) :: t()
   def down(%__MODULE__{owner: owner} = lease, node),
     do: if(owner == Atom.to_string(node), do: %{lease | gone: true}, else: lease)
 
-  @doc "One look at the log."
+  @doc "Reads the lease from the log."
   @spec look(Log.t(), String.t()) ::
           {:ok, look()} | {:error, Situ.Error.t()}
   def look(log, key) do
@@ -81,8 +82,8 @@ defmodule Situ.Cluster.Lease do
         owner = if entry, do: Map.get(entry.head, "Node", "")
         {:ok, {if(entry, do: entry.seq, else: 0), owner, before, now()}}
 
-      # An intruder has written it, or an older version. It expires like the lease of a lost node. The next owner's
-      # number is larger, so it does not matter what this entry says.
+      # An intruder or an older version has written the lease. It expires like the lease of a lost node. The next
+      # owner's number is larger, so the content of this entry does not matter.
       {:error, error} ->
         if Seal.refusal?(error),
           do: {:ok, {error.meta.seq, "nobody of this cluster", before, now()}},
@@ -90,12 +91,12 @@ defmodule Situ.Cluster.Lease do
     end
   end
 
-  @doc "Takes it, for `ms` at a time; its number is the epoch."
+  @doc "Acquires the lease, for `ms` at a time. Returns its number, which is the epoch."
   @spec take(Log.t(), String.t(), non_neg_integer(), pos_integer()) ::
           {:ok, pos_integer()} | {:refused, Entry.t() | nil} | {:error, Situ.Error.t()}
   def take(log, key, seq, ms), do: write(log, key, seq, {Atom.to_string(node()), ms}, "take")
 
-  @doc "Gives it back."
+  @doc "Releases the lease."
   @spec release(Log.t(), String.t(), pos_integer()) :: term()
   def release(log, key, seq), do: write(log, key, seq, {"", 0}, "release")
 
@@ -107,11 +108,12 @@ defmodule Situ.Cluster.Lease do
   end
 
   @doc """
-  Keeps the lease, in a process of its own: writes it every quarter of its time. When it is lost, or three quarters of
-  its time have passed without an answer of the log, `publisher` is killed at once, and this process ends with
-  `{:shutdown, :lease_lost}`: a node that is cut off stops before its lease ends. Told `{:release, from}`, it gives the
-  lease back and says `:released`. Calls `tell` with each number that it has written, and with `:free` when it gives the
-  lease back.
+  Keeps the lease: writes it every quarter of its duration. Runs in a separate process.
+
+  When the lease is lost, or the log has not replied for three quarters of its duration, kills `publisher` immediately
+  and ends this process with `{:shutdown, :lease_lost}`. A node that is cut off therefore stops before its lease ends.
+  On the message `{:release, from}`, releases the lease and sends `:released`. Calls `tell` with each number that it
+  has written, and with `:free` when it releases the lease.
   """
   @spec keep(
           Log.t(),
@@ -141,7 +143,7 @@ defmodule Situ.Cluster.Lease do
     end
   end
 
-  # The log may take its time to say that it is away.
+  # The log may be slow to report that it is unreachable, so the write has a deadline.
   defp renew(lease, seq, written) do
     started = now()
     owner = {Atom.to_string(node()), lease.ms}
@@ -169,7 +171,7 @@ defmodule Situ.Cluster.Lease do
 
   defp lost(lease) do
     Process.exit(lease.publisher, :kill)
-    # No crash: a node that is cut off is expected to step down.
+    # This is not a crash, because a node that is cut off is expected to step down.
     exit({:shutdown, :lease_lost})
   end
 

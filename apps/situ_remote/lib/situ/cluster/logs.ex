@@ -1,19 +1,19 @@
 defmodule Situ.Cluster.Logs do
   @moduledoc """
-  The last lines that each node has logged, to be read from any of them: `bin/situ cluster logs`.
+  Keeps the last lines that each node has logged, and makes them readable from any node: `bin/situ cluster logs`.
 
-  A handler of Erlang's logger keeps the last 2,000 lines of a node in a table. Lines are texts of 4,000 characters at
-  most; they were written for people, and whoever has the cluster's cookie may read them.
+  A handler of Erlang's logger stores the last 2,000 lines of a node in a table. A line has at most 4,000 characters
+  and is meant for people. Anybody with the cluster's cookie can read the lines.
   """
   @keep 2_000
   @most_characters 4_000
-  # Under this key stands the last number; all others are numbers.
+  # This key holds the last line number; all other keys are line numbers.
   @counter :last
 
-  @typedoc "`n` grows by one from line to line; `time` is ns since 1970."
+  @typedoc "`n` increases by one from line to line; `time` is ns since 1970."
   @type line :: %{n: pos_integer(), time: Situ.Time.t(), level: atom(), text: String.t()}
 
-  @doc "Begins to keep lines; the table belongs to the calling process and ends with it."
+  @doc "Starts storing lines in a table that belongs to the calling process and ends with it."
   @spec start() :: :ok
   def start do
     if :ets.whereis(__MODULE__) == :undefined do
@@ -22,12 +22,13 @@ defmodule Situ.Cluster.Logs do
     end
 
     _ = :logger.remove_handler(__MODULE__)
-    # That a supervisor has started something (for each connection of TLS) is no news.
+
+    # Supervisors report every process they start, for example for each TLS connection; this is not worth a line.
     filters = [progress: {&:logger_filters.progress/2, :stop}]
     :logger.add_handler(__MODULE__, __MODULE__, %{level: :info, filters: filters})
   end
 
-  @doc "The lines behind number `from`, the oldest first, at most `most` of the newest."
+  @doc "Returns the newest lines (at most `most`) after line number `from`, oldest first."
   @spec read(non_neg_integer(), pos_integer()) :: [line()]
   def read(from \\ 0, most \\ @keep) do
     rows =
@@ -38,11 +39,11 @@ defmodule Situ.Cluster.Logs do
     for {n, {time, level, text}} <- Enum.take(rows, -most),
         do: %{n: n, time: time, level: level, text: text}
   rescue
-    # This node is no member (any more).
+    # This node is not, or is no longer, a member.
     ArgumentError -> []
   end
 
-  # Called by logger, in the process that logs.
+  # Called by logger, in the process that logs the event.
   @doc false
   @spec log(:logger.log_event(), :logger.handler_config()) :: term()
   def log(%{level: level, meta: %{time: time}} = event, _config) do
@@ -56,7 +57,7 @@ defmodule Situ.Cluster.Logs do
     :ets.insert(__MODULE__, {n, {time * 1_000, level, text}})
     :ets.delete(__MODULE__, n - @keep)
   rescue
-    # The table ends with its node's membership, and a line is no reason to fail.
+    # The table ends with the node's membership, and logging must not fail because of it.
     _ in [ArgumentError, UnicodeConversionError] -> :ok
   end
 end

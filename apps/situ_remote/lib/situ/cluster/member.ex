@@ -1,10 +1,10 @@
 defmodule Situ.Cluster.Member do
   @moduledoc false
-  # The requests of a part's runner, of its pipeline's inlets and of the balancer to the cluster's agent on their node.
-  # None of them waits for the agent, so the agent may wait for them.
+  # The requests that a part's runner, the inlets of its pipeline and the balancer send to the cluster's agent on their
+  # node. None of them waits for the agent, so the agent may wait for them.
   #
-  #   {:situ_cluster, :follow, part, pid}            an inlet wants to know where a part is published
-  #   {:situ_cluster, :publisher, part, publisher}   there, now and whenever that changes
+  #   {:situ_cluster, :follow, part, pid}            an inlet asks for the publisher of a part
+  #   {:situ_cluster, :publisher, part, publisher}   the reply, immediately and whenever the publisher changes
 
   alias Situ.Cluster.{Agent, Deployment, Placement, Vitals}
 
@@ -12,16 +12,16 @@ defmodule Situ.Cluster.Member do
 
   @type part :: {deployment :: String.t(), part :: String.t()}
 
-  @doc "A part is published here."
+  @doc "Informs the agent that a part is now published by `publisher` on this node."
   @spec route(GenServer.server(), part(), pos_integer(), pid()) :: :ok
   def route(agent, part, epoch, publisher),
     do: GenServer.cast(agent, {:route, part, epoch, publisher, :tell})
 
-  @doc "This process looks after a part on this node."
+  @doc "Informs the agent that process `runner` is responsible for a part on this node."
   @spec runs(GenServer.server(), part(), pid()) :: :ok
   def runs(agent, part, runner), do: GenServer.cast(agent, {:runs, part, runner})
 
-  @doc "Makes the agent's table of members and deployments, which all processes of the node read."
+  @doc "Creates the agent's table of members and deployments, which all processes of the node can read."
   @spec create_table() :: :ok
   def create_table do
     :ets.new(@table, [:named_table, :protected, read_concurrency: true])
@@ -48,7 +48,7 @@ defmodule Situ.Cluster.Member do
 
   defp lookup(key), do: :ets.lookup_element(@table, key, 2)
 
-  @doc "Returns the members with the properties that rules of place look at."
+  @doc "Returns the members with the properties that placement rules use."
   @spec all() :: Placement.members()
   def all do
     vitals = Vitals.all()
@@ -58,13 +58,13 @@ defmodule Situ.Cluster.Member do
     end)
   end
 
-  @doc "How much this node is preferred for a part (0: most), or `nil`."
+  @doc "Returns this node's rank for a part (0 is the most preferred), or `nil` if it may not run the part."
   @spec rank(map(), String.t()) :: non_neg_integer() | nil
   def rank(rule, part), do: Placement.rank(all(), rule, part, node())
 
   @doc """
-  Tells the runners of a part on all other nodes that this node has written its lease, or has given it back. Does not
-  wait for a node that cannot receive at the moment: that node looks at the log.
+  Reports to the runners of a part on all other nodes that this node has written or released its lease. Skips nodes
+  that cannot receive immediately, since they also read the log.
   """
   @spec tell_lease(part(), pos_integer() | :free) :: :ok
   def tell_lease(part, seq) do
@@ -77,7 +77,7 @@ defmodule Situ.Cluster.Member do
   @spec follow(pid(), part()) :: term()
   def follow(agent, part), do: send(agent, {:situ_cluster, :follow, part, self()})
 
-  @doc "Tells where it is."
+  @doc "Sends the publisher of a part to a process that follows it."
   @spec tell(pid(), part(), pid()) :: term()
   def tell(pid, part, publisher), do: send(pid, {:situ_cluster, :publisher, part, publisher})
 end

@@ -1,21 +1,21 @@
 defmodule Situ.Cluster.NatsIdentity do
   @moduledoc """
-  The files by which a cluster's nodes and its NATS server recognize each other: TLS with a certificate on each side,
-  and a password. `Situ.Cluster.Identity.create/1` makes them.
+  Creates the files with which a cluster's nodes and its NATS server authenticate each other: a TLS certificate on each
+  side, and a password. `Situ.Cluster.Identity.create/1` writes them.
 
-  Each side has its own authority, so nobody can start a node with the files on the server's machine. The server's files
-  are in a folder that may be moved: start the server in that folder by `nats-server -c nats-server.conf`.
+  Each side has its own certificate authority, so the files on the server's machine do not suffice to start a node. The
+  server's files are in a separate folder that can be moved: run `nats-server -c nats-server.conf` in that folder.
   """
   alias Situ.Certificate
 
   @folder "nats-server"
   @user "situ"
 
-  @doc "Returns the name of the server's folder, which is inside the identity's folder."
+  @doc "Returns the name of the server's folder inside the identity's folder."
   @spec folder() :: String.t()
   def folder, do: @folder
 
-  @doc "Returns names and contents of a node's files and of the server's files; certificates last for `days`."
+  @doc "Returns the names and contents of a node's and the server's files; the certificates are valid for `days`."
   @spec issue(pos_integer()) :: {[{String.t(), String.t()}], [{String.t(), String.t()}]}
   def issue(days) do
     server = Certificate.issue("the NATS server of a cluster of Situ", days: days)
@@ -61,7 +61,7 @@ defmodule Situ.Cluster.NatsIdentity do
     file = &Path.join(identity, &1)
 
     if File.exists?(file.("nats.pem")) do
-      # The server's authority signs no other certificate, so its machine may have any name.
+      # The server's authority signs no other certificate, so the server's machine may have any name.
       tls = [
         cacertfile: file.("nats-ca.pem"),
         certfile: file.("nats.pem"),

@@ -1,13 +1,13 @@
 defmodule Situ.Cluster.Outgoing do
   @moduledoc false
-  # One stream that leaves a part, as its publisher knows it. Pure, but for `trim/3`.
+  # The state of one stream that leaves a part, kept by its publisher. Pure, except for `trim/3`.
   #
-  #   mark      behind the last message that was handed over      stored   behind the last one in the log
-  #   pending   batches that nobody has begun to write yet, newest first
-  #   tail      the last batches that may be seen by readers, newest first
-  #   policies  how each part reads it; with `direct` the log has no messages of it, only where it was taken over and
-  #             when it closed
-  # The batches kept are bounded by number and by size: a picture is larger than a number.
+  #   mark      position after the last message received      stored   position after the last message in the log
+  #   pending   batches that are not being written yet, newest first
+  #   tail      the last batches that readers may see, newest first
+  #   policies  the policy of each part that reads it; for a `direct` stream the log contains no messages, only the
+  #             positions of takeovers and of the end
+  # Both the number and the size of the stored batches are limited, since a few images can be large.
   alias Situ.Cluster.{Batch, Chunk}
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
@@ -52,8 +52,8 @@ defmodule Situ.Cluster.Outgoing do
   end
 
   @doc """
-  Takes messages over: those that it has had before are passed over (a part that was started again repeats them),
-  the others get the next sequence ids; creation times do not go back, whatever the clock of this machine says.
+  Adds messages. Skips messages that it has received before, since a restarted part repeats them. Assigns the next
+  sequence ids to the others, and ensures that creation times do not decrease even if the clock of this machine does.
   """
   @spec add(t(), [Situ.Message.t()]) :: {Batch.t() | nil, t()}
   def add(%__MODULE__{mark: mark} = out, messages) do
@@ -92,51 +92,51 @@ defmodule Situ.Cluster.Outgoing do
     }
   end
 
-  @doc "Whether more is pending than should be."
+  @doc "Returns whether the limit of pending messages is reached."
   @spec full?(t()) :: boolean()
   def full?(%__MODULE__{count: count, bytes: bytes}), do: count >= @full or bytes >= @full_bytes
 
-  @doc "The stream ends."
+  @doc "Closes the stream at `time`."
   @spec close(t(), Situ.Time.t()) :: t()
   def close(%__MODULE__{mark: %{closing: nil} = mark} = out, time),
     do: %{out | mark: %{mark | closing: time}}
 
   def close(out, _time), do: out
 
-  @doc "Whether there is something to be written. Of a direct stream that is its end."
+  @doc "Returns whether there is anything to write; for a direct stream this is only its end."
   @spec pending?(t()) :: boolean()
   def pending?(%__MODULE__{direct: true} = out),
     do: out.mark.closing != nil and out.handed.closing == nil
 
   def pending?(%__MODULE__{} = out), do: out.mark != out.handed
 
-  @doc "Where it stands when it is taken over."
+  @doc "Sets the position of the stream when it is taken over."
   @spec begin(t(), Chunk.mark()) :: t()
   def begin(%__MODULE__{} = out, mark), do: %{out | mark: mark, stored: mark, handed: mark}
 
-  @doc "The log has it up to `mark`, by entry `seq`."
+  @doc "Records that the log contains the stream up to `mark`, with entry `seq`."
   @spec stored(t(), Chunk.mark(), pos_integer()) :: t()
   def stored(%__MODULE__{} = out, mark, seq),
     do: %{out | stored: mark, seq: seq, busy: mark != out.handed}
 
-  @doc "Takes what is to be written, oldest first."
+  @doc "Takes the pending batches, oldest first, and the position after them."
   @spec take(t()) :: {{[Batch.t()], Chunk.mark()}, t()}
   def take(%__MODULE__{} = out) do
     taken = {Enum.reverse(out.pending), out.mark}
     {taken, %{out | pending: [], count: 0, bytes: 0, handed: out.mark, busy: true}}
   end
 
-  @doc "Readers may see these."
+  @doc "Makes a batch visible to readers."
   @spec show(t(), Batch.t()) :: t()
   def show(%__MODULE__{} = out, %Batch{} = batch) do
     {count, bytes} = {out.tail_count + Batch.count(batch), out.tail_bytes + batch.bytes}
     trim(%{out | tail: [batch | out.tail], tail_count: count, tail_bytes: bytes})
   end
 
-  # Looked at once in a while only: what is left is the last part of it, and all that is not stored yet.
+  # Runs only when twice the limit is reached, and then keeps the newest batches and all unstored ones.
   defp trim(%{tail_count: count, tail_bytes: bytes} = out)
        when count > 2 * @tail or bytes > 2 * @tail_bytes do
-    # Integers are smaller than atoms: of a direct stream everything may go.
+    # Integers are smaller than atoms, so `:all` allows every batch of a direct stream to be dropped.
     stored = if out.direct, do: :all, else: out.stored.last
     {kept, count, bytes} = keep(out.tail, stored, [], {0, 0})
     %{out | tail: kept, tail_count: count, tail_bytes: bytes}
@@ -154,14 +154,14 @@ defmodule Situ.Cluster.Outgoing do
   defp keep([], _stored, kept, {count, bytes}), do: {Enum.reverse(kept), count, bytes}
 
   @doc """
-  Takes away what the log holds of it from before `retain` ns of originating time ago. That it fails for now is no
-  harm: it is tried again.
+  Deletes the log's entries that are more than `retain` ns of originating time old. A failure does no harm, since the
+  publisher tries again regularly.
   """
   @spec trim(t(), Log.t(), pos_integer()) :: term()
   def trim(%__MODULE__{stored: %{time: nil}}, _log, _retain), do: :ok
 
   def trim(%__MODULE__{stored: %{time: time}} = out, log, retain) do
-    # The first fence of a stream has no time: nothing was there.
+    # The first fence of a stream has no time, because there were no messages before it.
     recent? = &(Entry.integer(&1, "Time", time - retain - 1) >= time - retain)
 
     with {:ok, [first]} <- Log.read(log, out.subject, 1, 1),
@@ -171,8 +171,8 @@ defmodule Situ.Cluster.Outgoing do
   end
 
   @doc """
-  The last sequence id of a direct stream that somebody has who has it up to `time`; for `nil` the one before all that
-  can still be had.
+  Returns the last sequence id of a direct stream that a reader with all messages up to `time` has. For `nil`, returns
+  the id before the first message that is still available.
   """
   @spec till(t(), Situ.Time.t() | nil) :: non_neg_integer()
   def till(%__MODULE__{tail: []} = out, _time), do: out.mark.last
@@ -182,14 +182,14 @@ defmodule Situ.Cluster.Outgoing do
     if had, do: had.last, else: List.last(tail).first - 1
   end
 
-  @doc "The last sequence id that readers may see."
+  @doc "Returns the last sequence id that readers may see."
   @spec visible(t()) :: non_neg_integer()
   def visible(%__MODULE__{direct: true, mark: mark}), do: mark.last
 
   def visible(%__MODULE__{tail: [%{last: last} | _]} = out), do: max(last, out.stored.last)
   def visible(%__MODULE__{stored: stored}), do: stored.last
 
-  @doc "The batch with sequence id `from`, if the tail goes back that far."
+  @doc "Returns the batch that contains sequence id `from`, or `:gone` if the tail no longer contains it."
   @spec recall(t(), pos_integer()) :: {:ok, Batch.t()} | :gone
   def recall(%__MODULE__{tail: tail}, from), do: recall_in(tail, from)
 

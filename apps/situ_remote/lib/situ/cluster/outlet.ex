@@ -1,7 +1,7 @@
 defmodule Situ.Cluster.Outlet do
   @moduledoc false
-  # The end of a stream that leaves its part: hands everything to the part's publisher, and waits while that has more
-  # than it may hold.
+  # The end of a stream that leaves its part: passes all messages to the part's publisher, and waits while the
+  # publisher is full.
   use Situ.Component,
     inputs: [in: :any],
     options: [

@@ -1,20 +1,21 @@
 defmodule Situ.Cluster.Overview do
   @moduledoc """
-  A cluster at one moment, for people: nodes, parts with their streams and readers, links and recordings of every node.
-  Plain data.
+  Describes the current state of a cluster for display: nodes, parts with their streams and readers, and the links and
+  recordings of every node. The result is plain data.
 
       {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log")
       Situ.Cluster.overview().nodes
   """
   alias Situ.Cluster.{Agent, Recordings, Runner, Vitals}
 
-  # A node that stands still is not waited for longer.
+  # A node may be suspended, so a reply is not awaited for longer.
   @answer_ms 2_000
 
   defstruct time: 0, here: nil, nodes: [], parts: [], links: [], recordings: []
 
   @typedoc """
-  `time`: ns since 1970. A stream's `readers` are the parts that take it, each with how many messages it is `behind`.
+  `time`: ns since 1970. `readers` of a stream: the parts that read it, each with the number of messages it is
+  `behind`.
   """
   @type t :: %__MODULE__{
           time: Situ.Time.t(),
@@ -63,7 +64,7 @@ defmodule Situ.Cluster.Overview do
     end
   end
 
-  @doc "The parts of one deployment: the node that runs each, as that node reports it."
+  @doc "Returns the parts of one deployment, each with the node that runs it and the state which that node reports."
   @spec parts(Situ.Cluster.Deployment.t(), [node()]) :: [part()]
   def parts(deployment, nodes) do
     infos =
@@ -110,8 +111,8 @@ defmodule Situ.Cluster.Overview do
   end
 
   @doc """
-  The pipeline that runs a part of a deployment at this moment, on whichever node; `nil` when none does, as while the
-  part moves.
+  Returns the pipeline that currently runs a part of a deployment, on any node, or `nil` if no node runs it, for
+  example while the part is being moved.
   """
   @spec pipeline(String.t(), String.t()) :: pid() | nil
   def pipeline(deployment, part) do

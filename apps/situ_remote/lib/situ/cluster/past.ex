@@ -1,22 +1,22 @@
 defmodule Situ.Cluster.Past do
   @moduledoc """
-  Lists how much the log keeps of each deployment, and deletes it when nobody needs it any more.
+  Lists how much the log contains of each deployment, and deletes it when it is no longer needed.
 
-  The log of a deployment stays when it has ended: whoever wants may read it. It costs room, and on a NATS server two
-  open files a stream. Nothing is deleted without being asked for:
+  The log of a deployment remains after its end, so that it can still be read. It takes disk space and, on a NATS
+  server, two open files per stream. Nothing is deleted automatically:
 
       {:ok, log} = Situ.Remote.Log.connect("nats://lab1:4222")
       {:ok, kept} = Situ.Cluster.Past.list(log)
       {:ok, 12} = Situ.Cluster.Past.delete(log, hd(kept))
 
-  `Situ.Cluster.kept/0` and `Situ.Cluster.prune/2` do this for the log of a cluster, `bin/situ cluster kept` and
-  `bin/situ cluster prune` from a shell.
+  `Situ.Cluster.kept/0` and `Situ.Cluster.prune/2` do this for the log of a cluster. On the command line, use
+  `bin/situ cluster kept` and `bin/situ cluster prune`.
   """
   alias Situ.Error
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
 
-  @typedoc "How much one deployment has in the log; `written`: ns since 1970, `nil` when no stream was ever written to."
+  @typedoc "The size of one deployment in the log; `written`: ns since 1970, or `nil` if no stream was ever written."
   @type t :: %{
           deployment: String.t(),
           streams: non_neg_integer(),
@@ -26,10 +26,10 @@ defmodule Situ.Cluster.Past do
           subjects: [Log.subject()]
         }
 
-  # Anybody who reaches the log can write a lease that claims to be very long.
+  # Anybody with access to the log can write a lease that claims to be very long.
   @longest_ms 60_000
 
-  @doc "Lists each deployment that has something in the log, by name."
+  @doc "Lists the deployments that have entries in the log, by name."
   @spec list(Log.t()) :: {:ok, [t()]} | {:error, Error.t()}
   def list(log) do
     with {:ok, all} <- Log.subjects(log) do
@@ -39,7 +39,7 @@ defmodule Situ.Cluster.Past do
   end
 
   @doc """
-  The deployment that a subject belongs to; `nil`: none.
+  Returns the deployment that a subject belongs to, or `nil` for other subjects.
 
       iex> Situ.Cluster.Past.deployment({:stream, "Hall.Smooth.Window"})
       "Hall"
@@ -76,8 +76,8 @@ defmodule Situ.Cluster.Past do
     }
   end
 
-  # The numbers of the leases change while any node runs a part of it, or serves its streams. How long the longest is,
-  # ms: its owner writes it every quarter of that.
+  # Returns the numbers of the leases, and the longest duration of a lease (ms). The numbers change while any node
+  # runs a part of the deployment or serves its streams, since the owner writes a lease every quarter of its duration.
   defp leases(log, kept) do
     keys = for {:key, "lease." <> _} = subject <- kept.subjects, do: subject
 
@@ -93,18 +93,21 @@ defmodule Situ.Cluster.Past do
     end)
   end
 
-  @doc "Finds one by its name."
+  @doc "Finds a deployment by its name."
   @spec find([t()], String.t()) :: {:ok, t()} | {:error, Error.t()}
   def find(all, name) do
     case {Enum.find(all, &(&1.deployment == name)), Enum.map_join(all, ", ", & &1.deployment)} do
       {nil, ""} ->
         {:error,
-         Error.new(:not_found, "the log keeps nothing of #{inspect(name)}, or of anything")}
+         Error.new(
+           :not_found,
+           "the log contains no deployment #{inspect(name)}; it contains none at all"
+         )}
 
       {nil, names} ->
         {:error,
-         Error.new(:not_found, "the log keeps nothing of #{inspect(name)}",
-           fix: "it keeps something of: " <> names
+         Error.new(:not_found, "the log contains no deployment #{inspect(name)}",
+           fix: "choose from: " <> names
          )}
 
       {kept, _} ->
@@ -112,7 +115,7 @@ defmodule Situ.Cluster.Past do
     end
   end
 
-  @doc "Deletes all of a deployment that nobody uses (`unused/3`), by the log alone."
+  @doc "Deletes a deployment's log if no node uses it (`unused/3`); needs only the log, not a cluster."
   @spec prune(Log.t(), String.t(), non_neg_integer()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def prune(log, name, wait) do
@@ -123,8 +126,8 @@ defmodule Situ.Cluster.Past do
   end
 
   @doc """
-  Deletes all that the log keeps of a deployment: the number of subjects. Streams first, so that one that was
-  interrupted is listed again.
+  Deletes everything that the log contains of a deployment, and returns the number of subjects. Deletes the streams
+  first, so that an interrupted deletion is listed again.
   """
   @spec delete(Log.t(), t()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def delete(log, kept) do
@@ -139,8 +142,8 @@ defmodule Situ.Cluster.Past do
   end
 
   @doc """
-  Refuses what is in use by nodes that nobody here knows of: looks at the leases twice, `wait` ms apart or half of the
-  longest lease, whichever is more.
+  Returns an error if any node uses the deployment, even a node outside of this cluster. Reads the leases
+  twice, `wait` ms apart, or half of the longest lease if that is longer.
   """
   @spec unused(Log.t(), t(), non_neg_integer()) :: :ok | {:error, Error.t()}
   def unused(log, kept, wait) do
@@ -164,9 +167,9 @@ defmodule Situ.Cluster.Past do
   @doc false
   @spec in_use(String.t()) :: Error.t()
   def in_use(name) do
-    Error.new(:in_use, "#{name} is in use: its log stays",
-      why: "a node has a part of it, and would write on",
-      fix: "stop the deployment and wait for its end, or take it away with Situ.Cluster.forget/1"
+    Error.new(:in_use, "#{name} is in use, so its log was not deleted",
+      why: "a node is running a part of it, and would continue to write to the log",
+      fix: "stop the deployment and wait for its end, or remove it with Situ.Cluster.forget/1"
     )
   end
 end

@@ -1,9 +1,9 @@
 defmodule Situ.Cluster.Placement do
   @moduledoc false
-  # Which node is preferred for a part, among the members there are. Pure. Members may differ in what they know of one
-  # another at a moment: then two of them try, and the lease decides.
+  # Determines the preferred nodes for a part among the current members. Pure. Members may have different information
+  # about each other at a given moment; then two of them try to run the part, and the lease decides.
 
-  @typedoc "Labels, devices, the busy part of the machine (0 to 1), round trips to others (ns)."
+  @typedoc "Labels, devices, the load of the machine (0 to 1), and round trips to other nodes (ns)."
   @type member :: %{
           labels: [String.t()],
           devices: [String.t()],
@@ -12,20 +12,20 @@ defmodule Situ.Cluster.Placement do
         }
   @type members :: %{node() => member()}
 
-  # Load is rounded to steps, so that small changes from second to second do not change the order.
+  # Load is rounded, so that small changes from second to second do not change the order.
   @steps 4
 
   @spec member(map()) :: member()
   def member(known), do: Map.merge(%{labels: [], devices: [], machine: 0.0, trips: %{}}, known)
 
-  @doc "The place of `node` in the order of preference (0 is first), or `nil` when it may not run the part."
+  @doc "Returns the rank of `node` in the order of preference (0 is first), or `nil` when it may not run the part."
   @spec rank(members(), map(), String.t(), node()) :: non_neg_integer() | nil
   def rank(members, rule, part, node),
     do: members |> order(rule, part) |> Enum.find_index(&(&1 == node))
 
   @doc """
-  The nodes that may run a part, the preferred ones first; those that no rule names follow, the least busy machines
-  before others, and spread by hash among equals.
+  Returns the nodes that may run a part, preferred ones first. Nodes that no rule names follow, the least busy machines
+  first, with nodes of equal load ordered by a hash.
   """
   @spec order(members(), map(), String.t()) :: [node()]
   def order(members, rule, part) do
@@ -40,7 +40,7 @@ defmodule Situ.Cluster.Placement do
   defp by_load(members, part, node),
     do: {round(members[node].machine * @steps), :erlang.phash2({part, node})}
 
-  @doc "The nodes that a rule allows a part to run on without being second best."
+  @doc "Returns the nodes that a rule prefers equally, before all others."
   @spec equals(members(), map()) :: [node()]
   def equals(members, %{on: []}), do: Map.keys(members)
   def equals(members, %{on: [first | _]}), do: matching(members, first, true)
@@ -48,7 +48,7 @@ defmodule Situ.Cluster.Placement do
   defp matching(members, node, _only) when is_atom(node),
     do: if(is_map_key(members, node), do: [node], else: [])
 
-  # The nodes that have the device, then all others, the nearest first.
+  # Returns the nodes that have the device, then all others, nearest first.
   defp matching(members, {:near, device}, only) do
     {having, others} = members |> Map.keys() |> Enum.split_with(&(device in members[&1].devices))
 
@@ -63,6 +63,6 @@ defmodule Situ.Cluster.Placement do
         do: node
   end
 
-  # Atoms are greater than numbers: who has not measured it is last.
+  # Atoms are greater than numbers, so a node without a measured round trip is last.
   defp far(member, having), do: having |> Enum.map(&Map.get(member.trips, &1, :far)) |> Enum.min()
 end

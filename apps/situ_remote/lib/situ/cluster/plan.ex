@@ -1,7 +1,7 @@
 defmodule Situ.Cluster.Plan do
   @moduledoc false
-  # A graph cut into parts: which components each has, which streams cross from one to another. Pure; every node comes
-  # to the same plan, since each builds the same graph.
+  # Splits a graph into parts: the components of each part, and the streams between parts. Pure. Every node builds the
+  # same graph and therefore computes the same plan.
   alias Situ.Cluster.Deployment
   alias Situ.{Delivery, Error, Graph, Options}
 
@@ -9,9 +9,10 @@ defmodule Situ.Cluster.Plan do
   defstruct [:parts, :streams]
 
   @typedoc """
-  `parts`: name to ids and rule. `streams`: each stream that leaves its part, by name, with the vertex and output it
-  comes from, its part, and the parts that read it. A `direct` one bypasses the log: all who read it may lose messages,
-  or it was declared so; `policies` has those of its readers that may.
+  `parts`: the ids and the rule of each part, by name. `streams`: each stream that leaves its part, by name, with the
+  vertex and output it comes from, its part, and the parts that read it. A `direct` stream bypasses the log, because
+  all of its readers may lose messages or because it was declared direct; `policies` contains the policies of the
+  readers that may lose messages.
   """
   @type part :: %{name: String.t(), ids: MapSet.t(pos_integer()), rule: Deployment.rule()}
   @type stream :: %{
@@ -53,14 +54,14 @@ defmodule Situ.Cluster.Plan do
 
       name ->
         {:error,
-         Error.new(:not_crossing, "#{inspect(name)} crosses to no other part",
-           why: "direct: names streams that bypass the log on their way from part to part",
-           fix: "take it out of direct:, or place one of its ends in another part"
+         Error.new(:not_crossing, "#{inspect(name)} is not read by any other part",
+           why: "direct: lists streams between parts that bypass the log",
+           fix: "remove it from direct:, or place its source or a reader in another part"
          )}
     end
   end
 
-  # A part that is started again reads other messages of a direct stream than before, or none.
+  # A restarted part receives other messages of a direct stream than before, or none.
   defp repeatable(plan) do
     bad =
       for {name, %{direct: true, readers: readers}} <- plan.streams,
@@ -75,18 +76,20 @@ defmodule Situ.Cluster.Plan do
 
       [{name, part} | _] ->
         {:error,
-         Error.new(:not_deterministic, "part #{part} is declared deterministic: true, and is not",
+         Error.new(
+           :not_deterministic,
+           "part #{part} is declared deterministic: true, but is not deterministic",
            why:
-             "it reads #{name}, which may lose messages and is not in the log: started again, the part would put" <>
-               " out something else",
+             "it reads #{name}, which may lose messages and is not in the log, so a restarted part would produce" <>
+               " different outputs",
            fix:
-             "declare it deterministic: false, publish: that stream, or read it by a policy that loses nothing"
+             "declare it deterministic: false, add the stream to publish:, or read it with a lossless policy"
          )}
     end
   end
 
-  # Sources of a part that waits, through others, for what it puts out itself are a part of their own: a pipeline ends
-  # when all its sources have ended, and so does not end before what comes back to it.
+  # If a part waits, through other parts, for its own outputs, its sources become a separate part. A pipeline ends only
+  # when all of its sources have ended, and an inlet that returns the pipeline's own outputs counts as a source.
   defp apart(graph, of) do
     next = edges_between(graph, of)
 
@@ -111,7 +114,7 @@ defmodule Situ.Cluster.Plan do
     end)
   end
 
-  # The longest path that it is, or is below of.
+  # Returns the longest of `names` that is the path or contains it.
   defp owner(path, names) do
     names
     |> Enum.filter(&(path == &1 or String.starts_with?(path, &1 <> ".")))
@@ -131,7 +134,7 @@ defmodule Situ.Cluster.Plan do
 
         {:error,
          Error.new(:unknown_component, "the pipeline has no component #{inspect(name)} to place",
-           fix: hint <> "It has: " <> Enum.join(Enum.sort(paths), ", ")
+           fix: hint <> "Its components are: " <> Enum.join(Enum.sort(paths), ", ")
          )}
     end
   end
@@ -145,10 +148,10 @@ defmodule Situ.Cluster.Plan do
 
       name ->
         {:error,
-         Error.new(:empty_part, "#{inspect(name)} holds no component that could be placed",
-           why: "a component belongs to a composite when the stream it is made from does",
+         Error.new(:empty_part, "#{inspect(name)} contains no component that could be placed",
+           why: "a component belongs to a composite if the stream it is built on does",
            fix:
-             "build it on the streams that the composite's function is given (Situ.composite/3)"
+             "build it on the streams that the function of the composite receives (Situ.composite/3)"
          )}
     end
   end
@@ -205,7 +208,7 @@ defmodule Situ.Cluster.Plan do
     end
   end
 
-  # Of a part with several edges the one that keeps most; none, if one of them may lose nothing.
+  # Returns the policy with the largest queue of each part. A part with any lossless edge has none.
   defp policies(edges) do
     for {part, all} <- Enum.group_by(edges, &elem(&1, 0), &elem(&1, 1)),
         Enum.all?(all, &Delivery.lossy?/1),
@@ -214,22 +217,22 @@ defmodule Situ.Cluster.Plan do
   end
 
   defp widest([policy]), do: policy
-  # Atoms are larger than numbers: `:infinity` is the most.
+  # Atoms are larger than numbers, so `:infinity` is the maximum.
   defp widest(all), do: Delivery.max_queue(most(Enum.max(Enum.map(all, & &1.max_queue))))
 
   defp most(:infinity), do: 1_000
   defp most(n), do: n
 
-  @doc "The streams that leave a part."
+  @doc "Returns the streams that leave a part."
   @spec outlets(t(), String.t()) :: [stream()]
   def outlets(plan, part),
     do: plan.streams |> Map.values() |> Enum.filter(&(&1.part == part)) |> Enum.sort_by(& &1.name)
 
-  @doc "The streams that come into a part from others."
+  @doc "Returns the streams that a part reads from others."
   @spec inlets(t(), String.t()) :: [stream()]
   def inlets(plan, part), do: for({_, stream} <- plan.streams, part in stream.readers, do: stream)
 
-  @doc "The part with what no rule names; without one, the first."
+  @doc "Returns the part of the components that no rule names or, without one, the first part."
   @spec main(t()) :: String.t()
   def main(%__MODULE__{parts: parts}) when is_map_key(parts, @rest), do: @rest
   def main(%__MODULE__{parts: parts}), do: parts |> Map.keys() |> Enum.min()

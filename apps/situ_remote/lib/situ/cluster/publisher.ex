@@ -1,16 +1,16 @@
 defmodule Situ.Cluster.Publisher do
   @moduledoc false
-  # Publishes a part's outputs: into the log, and to the parts that read them. One process for each running part, on
-  # its node; towards readers it is a GenStage producer. A reader that is behind gets the missing messages out of the
-  # log.
+  # Publishes a part's outputs to the log and to the parts that read them. Every running part has one publisher
+  # process on its node. For readers it is a GenStage producer. A slow reader gets the missing messages from the log.
   #
-  # It begins by taking over (ADR 0112): fences every stream, takes the checkpoints over, and publishes what the last
-  # checkpoint holds that is not in the log yet. All that follows its scribe writes, beside it (ADR 0117): readers do
-  # not wait for the log. A write that is refused ends both: another node has taken over.
+  # The publisher begins by taking over the part (ADR 0112): it fences every stream, takes over the checkpoints, and
+  # publishes the messages that the last checkpoint contains and the log does not. Its scribe then writes all later
+  # messages to the log (ADR 0117), so readers do not wait for the log. A refused write ends both processes, because
+  # another node has taken over.
   #
-  # Two modes. `:outbox`: what the part puts out is seen by nobody before a checkpoint holds it. `:replay`
-  # (deterministic parts): it is seen at once and written to the log behind; a part that starts again makes the same.
-  # A direct stream is seen at once in both, and is not written.
+  # There are two modes. With `:outbox`, outputs become visible only when a checkpoint contains them. With `:replay`
+  # (deterministic parts), outputs are visible immediately and are written to the log later; a restarted part produces
+  # the same outputs again. A direct stream is visible immediately in both modes, and is not written.
   use GenServer
 
   alias Situ.Cluster.{Batch, Checkpoint, Chunk, Outgoing, Readers, Scribe}
@@ -20,10 +20,10 @@ defmodule Situ.Cluster.Publisher do
 
   @flush_ms 5
   @trim_ms 1_000
-  # While somebody waits to put out more, it is looked again whether that must be.
+  # While components wait to publish, this is how often the publisher checks whether they must still wait.
   @look_ms 20
-  # So long after its start a part waits for those that read it, so that they have its first messages from itself. A
-  # direct stream is nowhere else.
+  # For this time after its start, a part waits for its readers, so that they receive its first messages directly from
+  # it. The messages of a direct stream are not available anywhere else.
   @join_ms 1_000
   @join_direct_ms 5_000
 
@@ -49,33 +49,33 @@ defmodule Situ.Cluster.Publisher do
     told_full: false
   ]
 
-  @doc "Takes the part over and publishes it; answers the memories of its last checkpoint, `nil` or `:done`."
+  @doc "Starts a publisher that takes over the part and publishes its outputs."
   @spec start_link(map()) :: {:ok, pid()} | {:error, term()}
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
-  @doc "The memories that the part continues from."
+  @doc "Returns the memories that the part continues from, `nil` for none, or `:done` if the part has ended."
   @spec resume(pid()) :: map() | nil | :done
   def resume(publisher), do: GenServer.call(publisher, :resume, :infinity)
 
-  @doc "Messages of a stream; returns when there is room for more."
+  @doc "Publishes messages of a stream; returns when there is room for more."
   @spec publish(pid(), String.t(), [Situ.Message.t()]) :: :ok
   def publish(publisher, stream, messages),
     do: GenServer.call(publisher, {:publish, stream, messages}, :infinity)
 
-  @doc "A stream has ended."
+  @doc "Closes a stream."
   @spec close(pid(), String.t(), Situ.Time.t()) :: :ok
   def close(publisher, stream, time),
     do: GenServer.call(publisher, {:close, stream, time}, :infinity)
 
-  @doc "While the part stands still: what it has put out up to now belongs to the checkpoint that follows."
+  @doc "Assigns all outputs published so far to the next checkpoint. Must be called while the part is paused."
   @spec cut(pid()) :: :ok
   def cut(publisher), do: GenServer.call(publisher, :cut, :infinity)
 
-  @doc "Stores the checkpoint, and what belongs to it."
+  @doc "Stores the checkpoint and the outputs that belong to it."
   @spec commit(pid(), map() | :done) :: :ok
   def commit(publisher, memories), do: GenServer.call(publisher, {:commit, memories}, :infinity)
 
-  @doc "Numbers for people."
+  @doc "Returns the state of the streams and readers, for display."
   @spec info(pid()) :: map()
   def info(publisher), do: GenServer.call(publisher, :info)
 
@@ -135,7 +135,7 @@ defmodule Situ.Cluster.Publisher do
         {:ok, seq} ->
           fence(put(state, Outgoing.begin(%{out | seq: seq}, mark)), rest)
 
-        # The owner before wrote in between: that counts, if it is one before.
+        # The previous owner has written in the meantime. That is valid if its epoch is older.
         {:refused, last} ->
           if Entry.integer(last, "Epoch", 0) > state.epoch,
             do: {:error, Scribe.refused(out.subject)},
@@ -147,7 +147,7 @@ defmodule Situ.Cluster.Publisher do
     end
   end
 
-  # Publishes the messages that the checkpoint holds and the log lacks.
+  # Publishes the messages that the checkpoint contains and the log does not.
   defp publish_pending(state, %{current: nil}), do: state
 
   defp publish_pending(state, %{current: %{pending: pending}}) do
@@ -164,7 +164,7 @@ defmodule Situ.Cluster.Publisher do
     end)
   end
 
-  # Readers see it when the log has it.
+  # Readers see the batches once the log contains them.
   defp later(state, _name, []), do: state
 
   defp later(state, name, batches),
@@ -214,7 +214,7 @@ defmodule Situ.Cluster.Publisher do
     {:reply, %{streams: streams, readers: Readers.info(state.readers), mode: state.mode}, state}
   end
 
-  # Back-pressure: while the log, or a reader that keeps up, has too much before it, who puts out waits.
+  # Applies back-pressure: a component that publishes waits while the log or an active reader cannot keep up.
   defp wait_or_go(state, from, name) do
     if hold?(state, name),
       do: {:noreply, look(%{state | waiting: [{from, name} | state.waiting]})},
@@ -228,7 +228,7 @@ defmodule Situ.Cluster.Publisher do
       (young?(state, out) and not Readers.seen?(state.readers, out, awaited(state, out)))
   end
 
-  # Who may lose messages may lose the first ones.
+  # A part that may lose messages may also lose the first ones, so it is not awaited.
   defp awaited(state, out), do: Enum.reject(state.parts[out.name], &is_map_key(out.policies, &1))
 
   defp young?(state, out) do
@@ -249,13 +249,13 @@ defmodule Situ.Cluster.Publisher do
 
   defp look(state), do: state
 
-  # A deterministic part: everything is written a moment later.
+  # The outputs of a deterministic part are written after a short delay.
   defp timed(%{timer: nil} = state),
     do: %{state | timer: Process.send_after(self(), :flush, @flush_ms)}
 
   defp timed(state), do: state
 
-  # A checkpoint is due sooner than by the clock.
+  # Requests a checkpoint before the regular one, because too many messages are pending.
   defp full(%{told_full: false} = state) do
     if Enum.any?(state.streams, fn {_, out} -> Outgoing.full?(out) end) do
       send(state.runner, :situ_full)
@@ -269,7 +269,7 @@ defmodule Situ.Cluster.Publisher do
 
   defp flush(state) do
     Enum.reduce(state.streams, %{state | timer: nil}, fn {name, out}, state ->
-      # Behind one that is being written more gathers.
+      # While a batch is being written, more batches accumulate for the next write.
       if out.busy, do: state, else: hand_over(state, name)
     end)
   end
@@ -316,7 +316,7 @@ defmodule Situ.Cluster.Publisher do
     Enum.reduce(now, state, &show(&2, name, &1))
   end
 
-  # Kept for a moment only where somebody may lose nothing.
+  # The batch is kept only if some reader must not lose messages.
   defp offer(state, name, batch) do
     out = state.streams[name]
     state = %{state | readers: Readers.offer(state.readers, out, batch)}
@@ -341,7 +341,7 @@ defmodule Situ.Cluster.Publisher do
       readers = Readers.join(state.readers, pid, ref, state.streams[name], opts)
       {:noreply, %{state | readers: readers} |> serve(name) |> go()}
     else
-      error = Error.new(:unknown_stream, "part #{state.part} publishes no #{inspect(name)}")
+      error = Error.new(:unknown_stream, "part #{state.part} does not publish #{inspect(name)}")
       send(pid, {:"$gen_consumer", {self(), ref}, {:cancel, error}})
       {:noreply, state}
     end

@@ -1,11 +1,11 @@
 defmodule Situ.Cluster.Readers do
   @moduledoc false
-  # The subscribers of a publisher: how far each has come, how much it has asked for, and what was read out of the log
-  # for one that is behind. One that may lose messages of a direct stream has a queue instead, under its policy; any
-  # other reader of a direct stream misses what has left the tail.
+  # The subscribers of a publisher: the position and demand of each, and the messages read from the log for a slow
+  # reader. A reader of a direct stream that may lose messages has a queue with its policy instead. Any other reader of
+  # a direct stream misses the messages that are no longer in the tail.
   #
-  # `keeping_up?/2` says whether a producer that can wait should: a reader that takes its messages as they are made
-  # holds it, one that stands still or reads old messages out of the log does not.
+  # `keeping_up?/2` returns whether the producer may continue. A reader that takes messages as they are made holds the
+  # producer back; a reader that is paused or reads old messages from the log does not.
   alias Situ.Cluster.{Batch, Chunk, Outgoing, Seal}
   alias Situ.Delivery
   alias Situ.Delivery.Queue
@@ -13,21 +13,21 @@ defmodule Situ.Cluster.Readers do
   alias Situ.Remote.Log.Entry
   require Logger
 
-  # The producer waits for a reader that has so much before it, unless that has asked for nothing for so long.
+  # The producer waits for a reader with this many outstanding messages, unless the reader has stopped requesting.
   @behind 8_192
   @behind_bytes 12 * 1024 * 1024
   @patience_ms 500
-  # A direct stream has no other copy.
+  # The messages of a direct stream are stored nowhere else, so the producer waits longer.
   @direct_patience_ms 5_000
-  # The size of a queue under a policy that names none.
+  # The queue size for a policy that does not specify one.
   @queued 1_000
 
   defstruct by_ref: %{}, seen: MapSet.new()
 
-  @typedoc "`seen`: the parts that have joined a stream once, `{stream, part}`."
+  @typedoc "`seen`: the parts that have ever joined a stream, as `{stream, part}`."
   @type t :: %__MODULE__{by_ref: %{term() => map()}, seen: MapSet.t()}
 
-  @doc "A new one, that has all up to sequence id `from`."
+  @doc "Adds a reader that already has all messages up to the sequence id `from`."
   @spec join(t(), pid(), term(), Outgoing.t(), keyword()) :: t()
   def join(%__MODULE__{} = readers, pid, ref, out, opts) do
     reader = %{
@@ -53,11 +53,11 @@ defmodule Situ.Cluster.Readers do
     %{readers | by_ref: Map.put(readers.by_ref, ref, reader), seen: seen}
   end
 
-  # Who reads a direct stream numbers it itself: it knows the time of the last message that it has had.
+  # A reader of a direct stream numbers the messages itself, so its position is the time of its last message.
   defp from(%{direct: true} = out, opts), do: Outgoing.till(out, opts[:time])
   defp from(_out, opts), do: Keyword.get(opts, :from, 0)
 
-  # The part that reads has the policy's own queue: this one bounds what waits for the way there.
+  # The reading part has its own queue with the policy. This queue limits the messages that wait to be sent there.
   defp queue(nil), do: nil
 
   defp queue(%Delivery{} = policy) do
@@ -66,12 +66,12 @@ defmodule Situ.Cluster.Readers do
     Queue.new(Delivery.max_queue(most, keep))
   end
 
-  @doc "Whether all `parts` have joined the stream, now or before."
+  @doc "Returns whether all `parts` have joined the stream at some time."
   @spec seen?(t(), Outgoing.t(), [String.t()]) :: boolean()
   def seen?(%__MODULE__{seen: seen}, out, parts),
     do: Enum.all?(parts, &MapSet.member?(seen, {out.name, &1}))
 
-  @doc "Whether every reader has taken what was put out, but for a little; one that stands still is not waited for."
+  @doc "Returns whether every active reader has taken nearly all messages; paused readers do not count."
   @spec keeping_up?(t(), Outgoing.t()) :: boolean()
   def keeping_up?(%__MODULE__{by_ref: by_ref}, out),
     do:
@@ -87,7 +87,7 @@ defmodule Situ.Cluster.Readers do
   defp waiting?(reader, false), do: now() - reader.asked < @patience_ms
   defp now, do: System.monotonic_time(:millisecond)
 
-  @doc "New messages of a direct stream, for whoever may lose them."
+  @doc "Offers new messages of a direct stream to the readers that may lose them."
   @spec offer(t(), Outgoing.t(), Batch.t()) :: t()
   def offer(%__MODULE__{by_ref: by_ref} = readers, out, batch) do
     by_ref =
@@ -127,13 +127,13 @@ defmodule Situ.Cluster.Readers do
     %{readers | by_ref: Map.delete(by_ref, ref)}
   end
 
-  @doc "Its process has ended."
+  @doc "Removes a reader whose process has ended."
   @spec gone(t(), reference()) :: t()
   def gone(%__MODULE__{by_ref: by_ref} = readers, monitor) do
     %{readers | by_ref: Map.reject(by_ref, fn {_, reader} -> reader.monitor == monitor end)}
   end
 
-  @doc "How far each is behind, for people."
+  @doc "Returns the position of each reader, for display."
   @spec info(t()) :: [map()]
   def info(%__MODULE__{by_ref: by_ref}) do
     for {_, reader} <- by_ref,
@@ -147,7 +147,7 @@ defmodule Situ.Cluster.Readers do
         }
   end
 
-  @doc "Sends the readers of a stream what they have asked for, as far as it is there."
+  @doc "Sends the readers of a stream the messages that they have requested, as far as these are available."
   @spec serve(t(), Outgoing.t(), Log.t()) :: t()
   def serve(%__MODULE__{by_ref: by_ref} = readers, out, log) do
     by_ref =
@@ -207,8 +207,8 @@ defmodule Situ.Cluster.Readers do
   defp one_fetched(%{ahead: []} = reader, _out, _log), do: reader
   defp one_fetched(reader, out, log), do: one(reader, out, log)
 
-  # An inlet takes batches as they are, what it has had and what is beyond its demand included; it gives up its claim to
-  # so many later. For any other consumer the rest stays in the tail.
+  # An inlet accepts whole batches, including messages that it already has or that exceed its demand, which it reduces
+  # accordingly. For any other consumer, the rest of a batch stays in the tail.
   defp give(%{batches: true} = reader, batch),
     do: send_on(reader, batch, {:situ_batch, batch.first, batch.body})
 
@@ -227,7 +227,7 @@ defmodule Situ.Cluster.Readers do
     %{reader | demand: reader.demand - n, last: last}
   end
 
-  # The next entry with messages that the reader lacks. After an error of the log the next request tries again.
+  # Reads the next entry with messages that the reader lacks. After an error of the log, the next request tries again.
   defp fetch(%{next: nil} = reader, out, log) do
     case Log.find(log, out.subject, &(Entry.integer(&1, "Last", 0) > reader.last)) do
       {:ok, seq} when is_integer(seq) -> fetch(%{reader | next: seq}, out, log)
@@ -250,7 +250,7 @@ defmodule Situ.Cluster.Readers do
     end
   end
 
-  # The reader gets nothing from a refused entry, and keeps asking: somebody may repair the log.
+  # The reader gets no messages from a refused entry and tries again, since the log may be repaired.
   defp log_refusal(reader, error) do
     if Seal.refusal?(error) and not reader.told,
       do: Logger.error("#{reader.part} waits for #{reader.name}: #{Exception.message(error)}")

@@ -1,25 +1,26 @@
 defmodule Situ.Cluster.Recordings do
   @moduledoc """
-  The recordings of a cluster's nodes, to be opened from any of them.
+  Lists the recordings on a cluster's nodes, and opens them from any node.
 
       {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log", recordings: "recordings")
       Situ.Cluster.Recordings.all()
       {:ok, address, opts} = Situ.Cluster.Recordings.address("situ-9302@10.0.0.2/lobby.0000")
       {:ok, store} = Situ.Store.open(address, reader_opts: opts)
 
-  A node lists the stores that lie in its folder. One that is asked for is served by a link (`Situ.Remote.serve/2`) on
-  the address that is in the node's name, by TLS where other machines can reach it. The link's token is random, and
-  told by Erlang's distribution alone: whoever may call functions on the node may read its recordings.
+  A node lists the stores in its folder. When a recording is requested, the node serves it over a link
+  (`Situ.Remote.serve/2`) on the address in the node's name, with TLS if other machines can reach it. The token of the
+  link is random and is only sent over Erlang's distribution. Anybody who can call functions on the node can therefore
+  read its recordings.
   """
   use GenServer
   alias Situ.{Error, Remote, Store}
 
-  # Of each node: the newest ones.
+  # The limit applies to each node and keeps its newest recordings.
   @most 200
   @ask_ms 5_000
   @serve_ms 15_000
 
-  @typedoc "`id` is `NODE/NAME`; `live?` while it is being recorded; `changed` is seconds since 1970."
+  @typedoc "`id` is `NODE/NAME`; `live?` is true during the recording; `changed` is seconds since 1970."
   @type entry :: %{
           id: String.t(),
           node: node(),
@@ -31,14 +32,14 @@ defmodule Situ.Cluster.Recordings do
   @spec start_link(Path.t() | nil) :: GenServer.on_start()
   def start_link(folder), do: GenServer.start_link(__MODULE__, folder, name: __MODULE__)
 
-  @doc "Those of all `nodes`, the newest of each first; nodes that do not answer in time have none."
+  @doc "Returns the recordings of all `nodes`, newest first on each node. Skips nodes that do not reply in time."
   @spec all([node()]) :: [entry()]
   def all(nodes \\ [node() | Node.list()]) do
     answers = :erpc.multicall(nodes, __MODULE__, :here, [], @ask_ms)
     for {:ok, entries} <- answers, entry <- entries, do: entry
   end
 
-  @doc "Those of this node: its newest 200."
+  @doc "Returns the newest 200 recordings of this node."
   @spec here() :: [entry()]
   def here do
     with pid when is_pid(pid) <- Process.whereis(__MODULE__),
@@ -58,8 +59,8 @@ defmodule Situ.Cluster.Recordings do
   end
 
   @doc """
-  Where a recording can be opened now, and with which options of its reader. Errors: `:not_found`, `:unreachable`, those
-  of `Situ.Remote.serve/2`.
+  Returns the address at which a recording can be opened now, and the options for its reader. Errors: `:not_found`,
+  `:unreachable`, and the errors of `Situ.Remote.serve/2`.
   """
   @spec address(String.t()) :: {:ok, String.t(), keyword()} | {:error, Error.t()}
   def address(id) do
@@ -77,14 +78,14 @@ defmodule Situ.Cluster.Recordings do
   catch
     :exit, reason ->
       {:error,
-       Error.new(:unreachable, "#{node} does not answer: #{inspect(reason, limit: 5)}",
-         fix: "look whether it is still a member of the cluster, then open the recording again"
+       Error.new(:unreachable, "#{node} is not responding: #{inspect(reason, limit: 5)}",
+         fix: "check whether it is still a member of the cluster, then open the recording again"
        )}
   end
 
   defp not_found(id) do
     Error.new(:not_found, "no node of the cluster has a recording #{inspect(id)}",
-      fix: "choose one from the page of the cluster"
+      fix: "choose one from the list on the cluster page"
     )
   end
 
@@ -121,7 +122,7 @@ defmodule Situ.Cluster.Recordings do
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  # Only what the list has: a name is no path.
+  # Only recordings in the list can be served, since a name must not be used as a path.
   defp served(folder, name) do
     with true <- is_binary(folder),
          path when path != nil <- Enum.find(Store.list(folder), &(Path.basename(&1) == name)),
@@ -139,7 +140,7 @@ defmodule Situ.Cluster.Recordings do
     end
   end
 
-  # The part of the node's name behind the @; a node without a name has no others.
+  # Returns the host in the node's name. A node without a name cannot be connected to other nodes.
   defp host do
     case node() |> Atom.to_string() |> String.split("@") do
       [_, host] when host not in ["nohost", "localhost"] -> host

@@ -1,11 +1,11 @@
 defmodule Situ.Cluster.Runner do
   @moduledoc false
-  # One part on one node: stands by, runs it while this node has the lease, stands by again.
+  # Runs one part on one node while this node has the lease, and is on standby otherwise.
   #
   #   standby   looks at the lease
-  #   running   publisher, keeper of the lease, pipeline; a checkpoint now and then
-  #   done      the part has ended; its streams are still served, while this node has the lease
-  #   failed    a component failed; nobody runs it again
+  #   running   has a publisher, a keeper of the lease and a pipeline; takes checkpoints regularly
+  #   done      the part has ended; its streams are still served while this node has the lease
+  #   failed    a component failed; no node runs the part again
   use GenServer, restart: :transient
 
   alias Situ.Cluster.{Assembly, Deployment, Lease, Member, Plan, Publisher, Seal, Standby}
@@ -34,37 +34,37 @@ defmodule Situ.Cluster.Runner do
   @spec start_link(map()) :: GenServer.on_start()
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
-  @doc "The part's state, for people."
+  @doc "Returns the part's state, for display."
   @spec info(pid(), timeout()) :: map()
   def info(runner, timeout \\ 30_000), do: GenServer.call(runner, :info, timeout)
 
-  @doc "Stops the sources of the part; their posted messages are still handled."
+  @doc "Stops the sources of the part; messages already posted are still handled."
   @spec stop(pid()) :: :ok
   def stop(runner), do: GenServer.cast(runner, :stop)
 
   @doc """
-  Gives the part away: a checkpoint, then the lease is free for the others. `away` is how far this node stands behind
-  them from then on: 0 not at all; of two drained ones the later one waits longer. With a process `mover` it does so
-  only while that process lives; then the value from before holds again.
+  Releases the part: takes a checkpoint, then makes the lease available to other nodes. `away` is the demotion level of
+  this node from then on: 0 for none; of two drained nodes, the one with the higher level waits longer. With a process
+  `mover`, the level applies only while that process is alive, and the previous one is then restored.
   """
   @spec release(pid(), non_neg_integer(), pid() | nil) :: :ok
   def release(runner, away, mover \\ nil),
     do: GenServer.call(runner, {:release, away, mover}, :infinity)
 
-  @doc "How far it stands behind from now on; what it has it keeps."
+  @doc "Sets the demotion level of this node for the part. A part that is already running here stays here."
   @spec stand(pid(), non_neg_integer(), pid() | nil) :: :ok
   def stand(runner, away, mover \\ nil),
     do: GenServer.call(runner, {:stand, away, mover}, :infinity)
 
-  @doc "Ends a runner for good: its supervisor does not start it again."
+  @doc "Ends a runner permanently: its supervisor does not restart it."
   @spec dismiss(pid()) :: :ok
   def dismiss(runner), do: GenServer.cast(runner, :dismiss)
 
-  @doc "Starts the part again where it is, from a checkpoint; with nothing to do where another node has it."
+  @doc "Restarts the part on the same node, from a new checkpoint; does nothing if another node runs it."
   @spec restart(pid()) :: :ok | {:error, Error.t()}
   def restart(runner), do: GenServer.call(runner, :restart, :infinity)
 
-  @doc "A node went down."
+  @doc "Reports to the runner that a node went down."
   @spec down(pid(), node()) :: :ok
   def down(runner, node), do: GenServer.cast(runner, {:down, node})
 
@@ -73,13 +73,13 @@ defmodule Situ.Cluster.Runner do
     Process.flag(:trap_exit, true)
     standby = Standby.new(args.deployment.lease)
     state = struct!(__MODULE__, Map.put(args, :standby, standby))
-    # Its supervisor may have started it again.
+    # The supervisor may have restarted this runner, so the agent needs the new process.
     Member.runs(state.agent, {state.deployment.name, state.part}, self())
     send(self(), :look)
     {:ok, state}
   end
 
-  # Standing by
+  # Standby
 
   @impl true
   def handle_info(:look, %{phase: :standby, standby: standby} = state) do
@@ -97,7 +97,7 @@ defmodule Situ.Cluster.Runner do
 
   def handle_info(:look, state), do: {:noreply, state}
 
-  # The owner is alive.
+  # The owner has renewed its lease.
   def handle_info({:situ_lease, seq, owner}, %{phase: :standby} = state) when is_integer(seq),
     do: {:noreply, %{state | standby: Standby.hear(state.standby, seq, owner)}}
 
@@ -118,7 +118,7 @@ defmodule Situ.Cluster.Runner do
     end
   end
 
-  # The process that moved the part has ended, whether it was done or not.
+  # The process that moved the part has ended, successfully or not.
   def handle_info({:DOWN, ref, :process, _, _}, state),
     do: {:noreply, %{state | standby: Standby.give_back(state.standby, ref)}}
 
@@ -170,7 +170,8 @@ defmodule Situ.Cluster.Runner do
   def handle_call({what, away, mover}, _from, state) when what in [:release, :stand],
     do: {:reply, :ok, lend(state, away, mover)}
 
-  # New code: the plan is the same. One that does not start with it stands by, and is taken again with the code before.
+  # The code is new, but the plan is the same. A part that does not start with the new code goes to standby, and is
+  # taken again once the old code is back.
   def handle_call(:restart, _from, %{phase: :running} = state) do
     state = state |> checkpoint() |> let_go()
 
@@ -181,7 +182,7 @@ defmodule Situ.Cluster.Runner do
         state -> {:reply, :ok, state}
       end
     else
-      # Another node was quicker: it has the part.
+      # Another node was faster and has the part now.
       _ -> {:reply, :ok, state}
     end
   end
@@ -191,10 +192,10 @@ defmodule Situ.Cluster.Runner do
   defp lend(state, away, mover),
     do: %{state | standby: Standby.lend(state.standby, away, mover)}
 
-  # A component fails when it cannot publish any more. The publisher's exit says why.
+  # A component fails when it can no longer publish; the exit of the publisher gives the reason.
   defp left?(%{publisher: publisher}), do: not Process.alive?(publisher)
 
-  # It may be lost this moment; then its exit follows.
+  # The publisher may be ending; its exit message then follows.
   defp published(nil), do: nil
 
   defp published(publisher) do
@@ -228,14 +229,14 @@ defmodule Situ.Cluster.Runner do
     end
   end
 
-  # The seal of a refused entry stays wrong, so another attempt would fail as well.
+  # The seal of a refused entry remains invalid, so another attempt would fail as well.
   defp handle_refusal(state, {:shutdown, %Error{} = error} = reason),
     do: if(Seal.refusal?(error), do: failed(state, error), else: stand_by(state, reason))
 
   defp handle_refusal(state, reason), do: stand_by(state, reason)
 
   defp stand_by(state, reason) do
-    Logger.warning("#{name(state)}: not taken over: #{explain(reason)}")
+    Logger.warning("#{name(state)}: takeover failed: #{explain(reason)}")
     %{state | epoch: nil, standby: Standby.resume_after_loss(state.standby)}
   end
 
@@ -244,7 +245,7 @@ defmodule Situ.Cluster.Runner do
 
   defp log_takeover(state, owner) do
     if owner not in [nil, "", Atom.to_string(node())],
-      do: Logger.warning("#{name(state)} continues here: #{owner} is not heard of any more")
+      do: Logger.warning("#{name(state)} continues here: #{owner} is no longer responding")
   end
 
   defp keep(state) do
@@ -256,7 +257,7 @@ defmodule Situ.Cluster.Runner do
     %{state | keeper: keeper}
   end
 
-  # The node before may have been lost between its last checkpoint and the note of its end.
+  # The previous node may have been lost after its last checkpoint and before it wrote the final state.
   defp run(state, :done, _failed) do
     note(state, %{"State" => "done"}, "")
     %{state | phase: :done}
@@ -278,7 +279,7 @@ defmodule Situ.Cluster.Runner do
     end
   end
 
-  # A part whose components cannot be carried over is started again from its inputs: it is not asked again.
+  # A part with components that cannot be carried over restarts from its inputs, so no more checkpoints are attempted.
   defp checkpoint(%{checkpoints: %{possible?: false}} = state), do: state
 
   defp checkpoint(state) do
@@ -297,7 +298,7 @@ defmodule Situ.Cluster.Runner do
         refused(state, error)
     end
   catch
-    # The publisher has ended: its exit is in the mailbox.
+    # The publisher has ended, and its exit message is in the mailbox.
     :exit, _ -> state
   end
 
@@ -311,7 +312,7 @@ defmodule Situ.Cluster.Runner do
 
   defp undeclared(state, error) do
     Error.new(:no_snapshot, "part #{state.part} cannot be carried over: #{error.what}",
-      why: "the outputs of a part are kept with its checkpoints, unless it is deterministic",
+      why: "the outputs of a part are stored with its checkpoints, unless it is deterministic",
       fix: "#{error.fix}; or declare the part deterministic: true",
       meta: error.meta
     )
@@ -332,7 +333,7 @@ defmodule Situ.Cluster.Runner do
     %{state | phase: :failed, pipeline: nil, monitor: nil, error: error}
   end
 
-  # Processes that wait for the deployment watch this key.
+  # Processes that wait for the deployment to end poll this key.
   defp note(state, head, data) do
     subject = {:key, key(state, "state")}
 
@@ -344,11 +345,11 @@ defmodule Situ.Cluster.Runner do
     end
   end
 
-  # Another node has the part, or this one could not say that it is alive.
+  # Either another node has the part, or this node could not renew its lease.
   defp step_down(%{phase: :failed} = state, _reason), do: %{state | publisher: nil, keeper: nil}
 
   defp step_down(state, reason) do
-    Logger.warning("#{name(state)} goes on elsewhere: #{explain(reason)}")
+    Logger.warning("#{name(state)} continues on another node: #{explain(reason)}")
     %{kill(state) | standby: Standby.resume_after_loss(state.standby)}
   end
 
@@ -371,8 +372,8 @@ defmodule Situ.Cluster.Runner do
     }
   end
 
-  # Nothing is under way any more: the part stands still behind its last checkpoint, or what it has put out since is
-  # made again elsewhere.
+  # Nothing is in flight any more: the part is paused after its last checkpoint, or another node will produce its later
+  # outputs again.
   defp let_go(state) do
     if state.pipeline, do: Pipeline.abandon(state.pipeline)
     send(state.keeper, {:release, self()})
@@ -395,7 +396,7 @@ defmodule Situ.Cluster.Runner do
   defp explain({:shutdown, :lease_lost}), do: "this node could not renew its lease in time"
   defp explain(reason), do: inspect(reason, limit: 8)
 
-  @doc "The key of the log for one thing about one part."
+  @doc "Returns the log key of one kind of entry (`what`) of a part."
   @spec key(Deployment.t(), String.t(), String.t()) :: String.t()
   def key(deployment, part, what), do: "#{what}.#{deployment.name}.#{part}"
   defp key(state, what), do: key(state.deployment, state.part, what)

@@ -1,11 +1,12 @@
 defmodule Situ.Cluster.Runners do
   @moduledoc false
-  # Asks or ends several runners at once, on any nodes: one that does not answer does not delay the others.
+  # Queries or ends several runners in parallel, on any nodes, so that an unresponsive runner does not delay the
+  # others.
   alias Situ.Cluster.Runner
 
   @dismiss_ms 5_000
 
-  @doc "Returns the state of each runner; `%{}` for a runner that does not answer within `timeout` ms."
+  @doc "Returns the state of each runner, or `%{}` for a runner that does not reply within `timeout` ms."
   @spec infos([pid()], timeout()) :: [map()]
   def infos(runners, timeout) do
     asked = for runner <- runners, do: :gen_server.send_request(runner, :info)
@@ -18,7 +19,7 @@ defmodule Situ.Cluster.Runners do
   defp answer({:reply, info}), do: info
   defp answer(_timeout_or_error), do: %{}
 
-  @doc "Ends the runners of a forgotten deployment, and kills those that do not end by themselves."
+  @doc "Ends the runners of a forgotten deployment, and kills any that are still alive after a few seconds."
   @spec dismiss([pid()]) :: :ok
   def dismiss(runners) do
     monitors = for runner <- runners, into: %{}, do: {Process.monitor(runner), runner}

@@ -1,42 +1,43 @@
 defmodule Situ.Cluster.Scribe do
   @moduledoc false
-  # Writes what a part publishes into the log, beside its publisher: readers are served by that one meanwhile, and have
-  # seen what a deterministic part puts out before the log has it. One process for each publisher, linked to it: what
-  # ends one of them ends both. Everything is written in the order of the casts, one entry of a stream at a time.
+  # Writes the messages that a part publishes into the log. It is a separate process, so its publisher can keep serving
+  # readers, who see the outputs of a deterministic part before the log contains them. Each publisher has one such
+  # process and is linked to it, so that both end together. Entries are written in the order of the casts, and each
+  # stream has only one write in progress.
   #
-  # Tells its publisher `{:situ_stored, name, mark, seq}` behind each. A write that is refused ends both: another node
-  # has taken the part over.
+  # Sends its publisher `{:situ_stored, name, mark, seq}` after each write. A refused write ends both processes,
+  # because another node has taken over the part.
   use GenServer
 
   alias Situ.Cluster.{Batch, Checkpoint, Chunk, Seal}
   alias Situ.Error
   alias Situ.Remote.Log
 
-  # Of one entry of the log, unless it takes less.
+  # The largest size of one entry of the log, unless the log's own limit is smaller.
   @entry_bytes 4 * 1024 * 1024
   @retry_ms 50
 
   @enforce_keys [:log, :part, :epoch, :publisher, :checkpoint, :streams]
   defstruct [:log, :part, :epoch, :publisher, :checkpoint, :streams, writes: 0]
 
-  @typedoc "`streams`: of each its subject, the number of its last entry, and where it stands in the log."
+  @typedoc "The subject of each stream, the number of its last entry, and its position in the log."
   @type streams :: %{
           String.t() => %{subject: Log.subject(), seq: non_neg_integer(), mark: Chunk.mark()}
         }
 
-  @doc "`args`: log, part, epoch, checkpoint (as taken over), streams."
+  @doc "Starts the process. `args`: log, part, epoch, checkpoint (as taken over) and streams."
   @spec start_link(map()) :: {:ok, pid()}
   def start_link(args),
     do: GenServer.start_link(__MODULE__, struct!(__MODULE__, Map.put(args, :publisher, self())))
 
-  @doc "Appends batches, behind which the stream stands at `mark`."
+  @doc "Appends batches; `mark` is the position of the stream after them."
   @spec append(pid(), String.t(), [Batch.t()], Chunk.mark()) :: :ok
   def append(scribe, name, batches, mark),
     do: GenServer.cast(scribe, {:append, name, batches, mark})
 
   @doc """
-  Stores a checkpoint, with `cut`: what has been put out up to it and is in no entry; appends that then, and answers
-  `from`.
+  Stores a checkpoint with `cut`, the outputs that precede the checkpoint and are not in the log yet. Then appends
+  these outputs and replies to `from`.
   """
   @spec commit(
           pid(),
@@ -119,7 +120,7 @@ defmodule Situ.Cluster.Scribe do
   defp half(mark, batch),
     do: %{mark | last: batch.last, time: batch.time, made: batch.made, closing: nil}
 
-  # The log may be away for a while: the lease says for how long that is borne.
+  # The log may be unreachable for a while. The lease limits how long this is tolerated.
   defp patiently(write, subject \\ nil) do
     case write.() do
       {:ok, result} ->
@@ -138,7 +139,7 @@ defmodule Situ.Cluster.Scribe do
     end
   end
 
-  @doc "The error of a writer whose part another node has taken over."
+  @doc "Returns the error for a writer whose part another node has taken over."
   @spec refused(Log.subject() | nil) :: Error.t()
   def refused(subject) do
     Error.new(:refused, "the log refuses this node's writes (#{inspect(subject)})",
@@ -147,9 +148,11 @@ defmodule Situ.Cluster.Scribe do
   end
 
   defp too_large(name, size, limit) do
-    Error.new(:too_large, "a message of #{name} is #{size} bytes; the log takes #{limit} at most",
+    Error.new(
+      :too_large,
+      "a message of #{name} has #{size} bytes; the log accepts at most #{limit}",
       fix:
-        "raise the server's max_payload, send smaller messages (encoded pictures), or let the stream bypass the" <>
+        "raise the server's max_payload, send smaller messages (encoded images), or let the stream bypass the" <>
           " log (direct:)"
     )
   end

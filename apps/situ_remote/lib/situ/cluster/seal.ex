@@ -1,14 +1,14 @@
 defmodule Situ.Cluster.Seal do
   @moduledoc false
-  # Signs whole entries of the log, and checks them: subject, position, name, head and data together. The key comes from
-  # the cluster's cookie and from the run of a deployment (`Situ.Cluster.Deployments`). So nobody without the cookie can
-  # write an entry that nodes accept. Nodes accept an entry only where it was written: not on another subject, not at
-  # another position, and not in a later run that has the same name.
+  # Signs and verifies complete entries of the log: subject, position, name, head and data. The key is derived from the
+  # cluster's cookie and the run of a deployment (`Situ.Cluster.Deployments`). Without the cookie, nobody can write an
+  # entry that nodes accept. Nodes accept an entry only at the position where it was written: not on another subject,
+  # not at another position, and not in a later run with the same name.
   #
   #   Follows   the number of the entry before it        Seal   nonce and MAC, in Base64
   #
-  # Anybody who may delete entries can still take the whole log back to an earlier state: a seal proves who wrote an
-  # entry, not that no entry came after it.
+  # Anybody who can delete entries can still reset the whole log to an earlier state. A seal proves who wrote an entry,
+  # but not that no other entry came after it.
   alias Situ.Error
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
@@ -16,12 +16,12 @@ defmodule Situ.Cluster.Seal do
   @seal "Seal"
   @follows "Follows"
 
-  @doc "Seals an entry that is to be written after number `follows` of a subject."
+  @doc "Seals an entry that will be written after number `follows` of a subject."
   @spec close(Entry.t(), String.t(), Log.subject(), non_neg_integer()) :: Entry.t()
   def close(%Entry{} = entry, run, subject, follows) do
     key = key(run)
 
-    # The log takes entries of one name for the same write, so nobody else may be able to guess the next name.
+    # The log treats entries with the same name as the same write, so nobody else may be able to guess the next name.
     mark = :crypto.mac(:hmac, :sha256, key, context(subject, follows, entry.op, []))
     op = entry.op <> "." <> Base.encode16(binary_part(mark, 0, 8), case: :lower)
     head = entry.head |> Map.delete(@seal) |> Map.put(@follows, Integer.to_string(follows))
@@ -31,9 +31,9 @@ defmodule Situ.Cluster.Seal do
   end
 
   @doc """
-  Checks who wrote an entry that was read, and that it is at the position where it was written. The numbers of keys have
-  gaps, so the position of a key's entry cannot be checked by the entry alone: `:behind` returns the number that the
-  entry before it must have.
+  Verifies who wrote an entry, and that it is at the position where it was written. The numbers of a key's entries have
+  gaps, so their position cannot be verified from the entry alone. In that case, returns `:behind` with the number that
+  the previous entry must have.
   """
   @spec open(Entry.t(), String.t(), Log.subject()) ::
           {:ok, Entry.t()} | {:behind, non_neg_integer(), Entry.t()} | {:error, Error.t()}
@@ -71,23 +71,23 @@ defmodule Situ.Cluster.Seal do
   @spec encode_term(term()) :: iodata()
   def encode_term(term), do: :erlang.term_to_iovec(term)
 
-  @doc "Decodes the term in an entry whose seal was checked, and refuses any other entry."
+  @doc "Decodes the term in an entry whose seal was verified; returns an error for any other entry."
   @spec decode_term(Entry.t()) :: {:ok, term()} | {:error, Error.t()}
   def decode_term(%Entry{verified: true, data: data}),
     do: {:ok, data |> IO.iodata_to_binary() |> :erlang.binary_to_term()}
 
   def decode_term(%Entry{} = entry), do: {:error, forged_error(entry, nil)}
 
-  @doc "Whether an error is the refusal of an entry by its seal."
+  @doc "Returns whether an error means that an entry was rejected because of its seal."
   @spec refusal?(term()) :: boolean()
   def refusal?(%Error{code: code}), do: code in [:forged_entry, :unsealed_entry]
   def refusal?(_other), do: false
 
-  @doc "Returns the error of an entry that was written elsewhere in the log, or earlier."
+  @doc "Returns the error for an entry that was written elsewhere in the log, or earlier."
   @spec moved_error(Entry.t(), Log.subject()) :: Error.t()
   def moved_error(entry, subject) do
     refusal(:forged_entry, entry, "#{name(entry, subject)} is not where it was written",
-      why: "somebody has copied it, written it once more, or deleted entries before it",
+      why: "somebody has copied it, written it again, or deleted entries before it",
       fix: fix()
     )
   end
@@ -98,7 +98,7 @@ defmodule Situ.Cluster.Seal do
       entry,
       "#{name(entry, subject)} does not have the seal of this deployment",
       why:
-        "it was changed, or somebody else, a cluster with another cookie, or an earlier run has written it",
+        "it was changed, or was written by somebody else, by a cluster with another cookie, or in an earlier run",
       fix: fix()
     )
   end
@@ -106,9 +106,9 @@ defmodule Situ.Cluster.Seal do
   defp unsealed_error(entry, subject) do
     refusal(:unsealed_entry, entry, "#{name(entry, subject)} has no seal",
       why:
-        "an older version of Situ, which did not sign whole entries, or somebody else has written it",
+        "it was written by an older version of Situ, which did not sign complete entries, or by somebody else",
       fix:
-        "delete the entries of that version (`situ cluster prune NAME --log ADDRESS`), or give the cluster another log"
+        "delete the entries of that version (`situ cluster prune NAME --log ADDRESS`), or use another log"
     )
   end
 
@@ -117,20 +117,20 @@ defmodule Situ.Cluster.Seal do
 
   defp fix,
     do:
-      "keep others from the log (`situ cluster init` makes credentials), then delete this deployment's entries" <>
+      "restrict access to the log (`situ cluster init` creates credentials), then delete this deployment's entries" <>
         " (`situ cluster prune`) and deploy it again"
 
   defp name(entry, nil), do: "entry #{entry.seq}"
   defp name(entry, {kind, name}), do: "entry #{entry.seq} of the #{kind} #{name}"
 
-  # Everything that is signed in addition to the data. No two entries give the same bytes.
+  # Returns the bytes that are signed in addition to the data. They are different for any two entries.
   defp context({kind, name}, follows, op, head) do
     :erlang.term_to_binary({Atom.to_string(kind), name, follows, op, Enum.sort(head)},
       minor_version: 2
     )
   end
 
-  # Poly1305 under a key that is used once: a seventh of what HMAC costs for a picture.
+  # Poly1305 with a one-time key takes a seventh of the time of HMAC for an image.
   defp mac(key, nonce, context, data) do
     state = :crypto.mac_init(:poly1305, :crypto.mac(:hmac, :sha256, key, nonce))
     state = :crypto.mac_update(state, [<<byte_size(context)::64>>, context])
@@ -138,7 +138,7 @@ defmodule Situ.Cluster.Seal do
     :crypto.mac_final(Enum.reduce(pieces, state, &:crypto.mac_update(&2, &1)))
   end
 
-  # Computed each time, so that no process and no crash report contains it.
+  # The key is computed each time, so that no process state and no crash report contains it.
   defp key(run) do
     cookie = :crypto.hash(:sha256, ["situ log 2 ", Atom.to_string(Node.get_cookie())])
     :crypto.mac(:hmac, :sha256, cookie, run)

@@ -1,8 +1,8 @@
 defmodule Situ.Cluster.SealedLog do
   @moduledoc false
-  # A log as one run of a deployment sees it: it seals every entry that is written, and checks every entry that is read
-  # (`Situ.Cluster.Seal`). All of the cluster's streams, leases, notes and checkpoints go through here. A refused entry
-  # is an error (`:forged_entry`, `:unsealed_entry`), and never data.
+  # Wraps a log for one run of a deployment: seals every entry that is written, and verifies every entry that is read
+  # (`Situ.Cluster.Seal`). All streams, leases, state entries and checkpoints of the cluster use it. A refused entry is
+  # an error (`:forged_entry`, `:unsealed_entry`) and never data.
   @behaviour Situ.Remote.Log
 
   alias Situ.Cluster.Seal
@@ -22,7 +22,7 @@ defmodule Situ.Cluster.SealedLog do
 
   @impl true
   def connect(_address, _opts),
-    do: {:error, Error.new(:bad_address, "a sealed log is made from another one")}
+    do: {:error, Error.new(:bad_address, "a sealed log has no address: it wraps another log")}
 
   @impl true
   def append(%__MODULE__{log: log, run: run} = conn, subject, expected, %Entry{} = entry) do
@@ -66,8 +66,8 @@ defmodule Situ.Cluster.SealedLog do
     end
   end
 
-  # An intruder who writes a lease once more only delays a takeover: a lease contains no data, its number is the epoch,
-  # and numbers grow. Leases are read too often for a second read each time.
+  # An intruder who repeats the entry of a lease only delays a takeover: a lease contains no data, its number is the
+  # epoch, and numbers only increase. Leases are read too often for a second read each time.
   defp check_previous(_log, {:key, "lease." <> _}, _follows, entry), do: {:ok, entry}
 
   # Logs keep the last two entries of a key, and an entry names the one before it.
@@ -80,7 +80,7 @@ defmodule Situ.Cluster.SealedLog do
     end
   end
 
-  # Two later writes delete the previous entry; then this entry is not the last one any more.
+  # Two later writes delete the previous entry, and then this entry is no longer the last one.
   defp check_last(log, subject, entry) do
     case Log.last(log, subject) do
       {:ok, %Entry{seq: seq}} when seq != entry.seq ->

@@ -1,19 +1,20 @@
 defmodule Situ.Cluster.Standby do
   @moduledoc false
-  # How a node waits for a part that it does not run: the lease as it knows it, when it looks at the log next, and how
-  # many nodes it lets go first. The owner reports each renewal of its lease to the other nodes (`Situ.Cluster.Member`),
-  # so a node looks at the log only when two renewals are missing, or when it has no connection to the owner.
+  # The state of a node that waits for a part it does not run: the last known lease, the time of the next look at it,
+  # and the number of nodes that may take the part first. The owner reports each renewal of its lease to the other
+  # nodes (`Situ.Cluster.Member`). A node therefore looks at the log only when two renewals are missing, or when it
+  # has no connection to the owner.
   alias Situ.Cluster.{Backoff, Lease}
 
-  # A drained node lets this many nodes go first.
+  # A drained node waits as if this many nodes were preferred to it.
   @behind 10
 
   @enforce_keys [:ms]
   defstruct [:ms, :timer, :loan, lease: %Lease{}, backoff: %Backoff{}, away: 0]
 
   @typedoc """
-  `ms`: how long the lease lasts; `away`: how far the node stands back; `loan`: the monitor of the process for whose
-  lifetime it does so, and the value of `away` before that.
+  `ms`: the duration of the lease; `away`: the demotion level of the node; `loan`: the monitor of the process for whose
+  lifetime the level applies, and the level before that.
   """
   @type t :: %__MODULE__{
           ms: pos_integer(),
@@ -30,61 +31,61 @@ defmodule Situ.Cluster.Standby do
   @doc "Judges one look at the lease; `rank` nodes are preferred to this one."
   @spec observe(t(), Lease.look(), non_neg_integer()) :: {:take | :wait, t()}
   def observe(%__MODULE__{ms: ms} = standby, look, rank) do
-    # A drained node lets the others go first for some seconds; it takes a part that no other node takes.
+    # A drained node lets the others go first for some seconds, but takes a part that no other node takes.
     before = rank + @behind * standby.away
     wait = before * div(ms, 2) + Backoff.wait_ms(standby.backoff, now(), ms)
     {answer, lease} = Lease.observe(standby.lease, look, %{lease: ms, poll: poll(ms), wait: wait})
     {answer, %{standby | lease: lease}}
   end
 
-  @doc "Notes that the owner has written its lease under this number."
+  @doc "Records that the owner has written its lease under this number."
   @spec hear(t(), pos_integer(), String.t()) :: t()
   def hear(%__MODULE__{ms: ms} = standby, seq, owner),
     do: look_in(%{standby | lease: Lease.hear(standby.lease, seq, owner, now())}, div(ms, 2))
 
-  @doc "Notes that a node was reported down."
+  @doc "Records that a node was reported down."
   @spec down(t(), node()) :: t()
   def down(%__MODULE__{} = standby, node) do
     standby = %{standby | lease: Lease.down(standby.lease, node)}
     if standby.lease.gone, do: look_in(standby, 0), else: standby
   end
 
-  @doc "Begins to wait again after this node has lost the part."
+  @doc "Starts waiting again after this node has lost the part."
   @spec resume_after_loss(t()) :: t()
   def resume_after_loss(%__MODULE__{ms: ms} = standby),
     do: resume(%{standby | backoff: Backoff.add_loss(standby.backoff, now(), ms)})
 
-  @doc "Begins to wait again after this node has given the part away."
+  @doc "Starts waiting again after this node has released the part."
   @spec resume(t()) :: t()
   def resume(%__MODULE__{} = standby), do: look_again(%{standby | lease: %Lease{}})
 
-  @doc "Sends this process `:look` in a while: later when the log answers slowly."
+  @doc "Sends this process `:look` after a delay, which is longer if the log responds slowly."
   @spec look_again(t()) :: t()
   def look_again(%__MODULE__{ms: ms, lease: lease} = standby),
     do: look_in(standby, max(poll(ms), min(4 * lease.took, ms)))
 
-  @doc "Sends this process `:look` in `ms`, and cancels an earlier one."
+  @doc "Sends this process `:look` in `ms`, and cancels an earlier timer."
   @spec look_in(t(), non_neg_integer()) :: t()
   def look_in(%__MODULE__{timer: timer} = standby, ms) do
     _ = timer && Process.cancel_timer(timer)
     %{standby | timer: Process.send_after(self(), :look, ms)}
   end
 
-  @doc "Lets other nodes go first, as `away` says; with a process, only while that lives."
+  @doc "Sets the demotion level `away`; with a process, only for the lifetime of that process."
   @spec lend(t(), non_neg_integer(), pid() | nil) :: t()
   def lend(%__MODULE__{loan: {ref, before}} = standby, away, mover) do
     Process.demonitor(ref, [:flush])
     lend(%{standby | loan: nil, away: before}, away, mover)
   end
 
-  # A node that is given the part does not wait because of earlier losses.
+  # A node to which the part is moved does not wait because of earlier losses.
   def lend(standby, 0, nil), do: %{standby | away: 0, backoff: %Backoff{}}
   def lend(standby, away, nil), do: %{standby | away: away}
 
   def lend(standby, away, mover),
     do: %{standby | loan: {Process.monitor(mover), standby.away}, away: away}
 
-  @doc "Restores `away` when the process that ended is the one of the loan."
+  @doc "Restores the previous demotion level if `ref` is the monitor of the process for which it was set."
   @spec give_back(t(), reference()) :: t()
   def give_back(%__MODULE__{loan: {ref, before}} = standby, ref),
     do: %{standby | loan: nil, away: before}

@@ -1,16 +1,17 @@
 defmodule Situ.Cluster.Upgrade do
   @moduledoc """
-  New code for a cluster whose pipelines run: node after node loads it and starts its parts again with it, each from a
-  checkpoint that it takes for the purpose. Nothing is lost and nothing comes twice, as when a part moves.
+  Loads new code in a cluster while its pipelines are running. One node after the other loads the code and restarts its
+  parts from a checkpoint taken for this purpose. As when a part moves, no message is lost or repeated.
 
       Situ.Cluster.upgrade([{MyLips, File.read!("ebin/Elixir.MyLips.beam")}])
-      Situ.Cluster.upgrade([MyLips])          # as this node has it
+      Situ.Cluster.upgrade([MyLips])          # the code of this node
 
-  A part's memories must suit its new components, and the graph must be cut into the same parts and streams. If one
-  node cannot do that, it and all before it go back to their old code, and the error gives the reason. Deploy a
-  pipeline with another graph under another name.
+  The new components must accept the saved states of the old ones, and the graph must be split into the same parts and
+  streams. If a node cannot meet these conditions, it and all previous nodes return to the old code, and the error
+  gives the reason. Deploy a pipeline with another graph under another name.
 
-  Only modules are exchanged. A new release is put under a node by `drain/2`, its restart, and the next node.
+  An upgrade replaces only modules. To install a new release, call `drain/2` for a node, restart it, and continue with
+  the next node.
   """
   alias Situ.Cluster.{Agent, Assembly, Runner}
   alias Situ.Error
@@ -19,7 +20,7 @@ defmodule Situ.Cluster.Upgrade do
 
   @type code :: [{module(), binary()}]
 
-  @doc "Of modules, as this node has them on disk, or with their code."
+  @doc "Returns the code of modules: from this node's files, or as given in `{module, beam}`."
   @spec code([module() | {module(), binary()}]) :: {:ok, code()} | {:error, Error.t()}
   def code(modules) do
     Enum.reduce_while(modules, {:ok, []}, fn
@@ -36,11 +37,11 @@ defmodule Situ.Cluster.Upgrade do
 
   defp no_code(module) do
     Error.new(:no_code, "this node has no file with the code of #{inspect(module)}",
-      fix: "give {module, beam}, as Code.compile_file/1 answers it"
+      fix: "give {module, beam}, as returned by Code.compile_file/1"
     )
   end
 
-  @doc "All members, this node last. Answers the nodes that have it."
+  @doc "Upgrades all members, this node last. Returns the upgraded nodes."
   @spec run(code()) :: {:ok, [node()]} | {:error, Error.t()}
   def run(code) do
     nodes = Enum.sort_by(Map.keys(Agent.info().members), &{&1 == node(), &1})
@@ -56,7 +57,12 @@ defmodule Situ.Cluster.Upgrade do
 
       {:error, error} ->
         for {node, old} <- done, do: on(node, :take, [old])
-        {:error, %{error | what: "#{node} keeps its code, and so do all: #{error.what}"}}
+
+        {:error,
+         %{
+           error
+           | what: "the upgrade failed on #{node}, so all nodes keep the old code: #{error.what}"
+         }}
     end
   end
 
@@ -88,7 +94,7 @@ defmodule Situ.Cluster.Upgrade do
     end
   end
 
-  # Code that came by an upgrade is in no file.
+  # Code from an earlier upgrade is not in any file.
   defp had(module) do
     case :persistent_term.get({__MODULE__, module}, nil) do
       nil -> with {module, beam, _} <- :code.get_object_code(module), do: {module, beam}
@@ -110,8 +116,8 @@ defmodule Situ.Cluster.Upgrade do
         {:error,
          Error.new(
            :old_code_in_use,
-           "a process still runs the code of #{inspect(module)} from before the last upgrade",
-           fix: "wait for it, or restart that node"
+           "a process is still running the code of #{inspect(module)} from before the last upgrade",
+           fix: "wait until it has ended, or restart that node"
          )}
 
       {:error, reason} ->
@@ -132,8 +138,8 @@ defmodule Situ.Cluster.Upgrade do
   end
 
   defp other_plan(name) do
-    Error.new(:other_plan, "the new code cuts #{name} into other parts or streams",
-      why: "running parts are connected by their present streams",
+    Error.new(:other_plan, "the new code splits #{name} into different parts or streams",
+      why: "running parts are connected by their current streams",
       fix: "deploy it under another name:, and stop this one"
     )
   end

@@ -1,10 +1,10 @@
 defmodule Situ.Cluster.Vitals do
   @moduledoc """
-  The vital signs of a cluster's nodes: how busy each is, its devices, its distance.
+  Measures the nodes of a cluster: the load and the devices of each, and the round trips between them.
 
-  Once a second each node measures itself and tells the others. Placement by load and by nearness uses them, and the
-  studio's page of the cluster shows them. A node that was silent for five seconds is dropped,
-  and called again for ten minutes.
+  Each node measures itself once a second and sends the result to the others. Placement by load and by distance uses
+  the measurements, and the studio's cluster page shows them. A node that has been silent for five seconds is dropped.
+  The others try to reconnect to it for ten minutes.
 
       Situ.Cluster.Vitals.all()[node()].busy      # cores that this node's processes used in the last seconds
   """
@@ -12,16 +12,16 @@ defmodule Situ.Cluster.Vitals do
 
   @every_ms 1_000
   @known_ms 5_000
-  # For so long a node that was lost is called again and again: the network may have been away.
+  # How long to keep reconnecting to a lost node, since the network may have failed.
   @call_ms 600_000
-  # How much the last second counts against those before.
+  # The weight of the last second in the moving average.
   @weight 0.4
 
   defstruct [:table, :devices, :last, busy: 0.0, machine: 0.0, calling: %{}]
 
   @typedoc """
-  `busy`: cores used by the node's own VM; `cores`: those it may use; `machine`: the busy part of the whole machine, 0
-  to 1; `memory`: bytes of the VM; `trips`: round trip to other nodes, ns (the quickest of the last ones).
+  `busy`: cores used by the node's own VM; `cores`: cores it may use; `machine`: load of the whole machine, 0 to 1;
+  `memory`: bytes of the VM; `trips`: round trip to other nodes, ns (the minimum of the last ones).
   """
   @type vital :: %{
           busy: float(),
@@ -35,7 +35,7 @@ defmodule Situ.Cluster.Vitals do
   @spec start_link([String.t()]) :: GenServer.on_start()
   def start_link(devices), do: GenServer.start_link(__MODULE__, devices, name: __MODULE__)
 
-  @doc "Of every node that was heard of lately, this one included; nothing where no member runs."
+  @doc "Returns the measurements of this and all other recently active nodes; empty if this node is not a member."
   @spec all() :: %{node() => vital()}
   def all do
     now = now()
@@ -84,7 +84,8 @@ defmodule Situ.Cluster.Vitals do
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  # Erlang connects nodes when one has something to say, and a lost node is told nothing. A call may take seconds.
+  # Erlang connects nodes only when one sends a message, and no messages are sent to a lost node. Connecting can take
+  # several seconds.
   defp call_lost(state) do
     calling = Map.filter(state.calling, fn {_, pid} -> Process.alive?(pid) end)
 
@@ -132,7 +133,7 @@ defmodule Situ.Cluster.Vitals do
     }
   end
 
-  # CPU time of this VM and the time, ms; ticks of the machine that were busy, and all of them.
+  # Returns the CPU time of this VM and the current time (ms), and the busy and total ticks of the machine.
   defp sample do
     {busy, total} = machine(File.read("/proc/stat"))
     {cpu_ms(File.read("/proc/self/stat")), now(), busy, total}
@@ -141,8 +142,8 @@ defmodule Situ.Cluster.Vitals do
   @doc """
   Returns the CPU time of this VM in milliseconds, from the text of `/proc/self/stat`.
 
-  It is user and system time: `:erlang.statistics(:runtime)` is user time alone with OTP 25, so that writes, page faults
-  and wake-ups are missing there. It stands in on systems without `/proc`.
+  This is user and system time. On systems without `/proc`, `:erlang.statistics(:runtime)` is used instead. With OTP 25
+  it is user time only, without the time for writes, page faults and wake-ups.
 
       iex> Situ.Cluster.Vitals.cpu_ms({:ok, "7 (a (b) c) S 1 2 3 4 5 6 7 8 9 10 150 50 0 0"})
       2000

@@ -1,7 +1,7 @@
 defmodule Situ.Cluster.Whole do
   @moduledoc false
-  # Snapshots of the parts of a deployment as one: ids of each part lie apart, and the way from an outlet to an inlet is
-  # an edge as inside of a pipeline. Pure.
+  # Merges the snapshots of a deployment's parts into one: the ids of each part are shifted into a separate range, and
+  # the connection from an outlet to an inlet becomes an edge, as within a pipeline. Pure.
   alias Situ.Diagnostics.Snapshot
 
   @apart 1_000_000
@@ -48,7 +48,7 @@ defmodule Situ.Cluster.Whole do
   defp way?(%{path: "Outlet " <> _}), do: true
   defp way?(_node), do: false
 
-  # The part that makes the stream may be on no node at the moment.
+  # The part that makes the stream may not be running on any node at the moment.
   defp joined(edge, inlets, makers) do
     with {:ok, stream} <- Map.fetch(inlets, edge.from), %{} = maker <- makers[stream] do
       output = Enum.find(maker.outputs, &(&1.stream == stream)).name

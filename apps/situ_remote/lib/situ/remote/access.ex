@@ -1,9 +1,11 @@
 defmodule Situ.Remote.Access do
   @moduledoc """
-  How to get in where an address alone is given: on a command line, in the studio, in a dataset.
+  Resolves the token and the TLS options of a link when the caller has only an address: on a command line, in the
+  studio, or in a dataset.
 
-  In this order: what the caller says (`token:`, `tls:`), `config :situ_remote, tokens: %{"lab1" => "..."}` by the
-  address's host, the environment variable `SITU_TOKEN`, and the first line of the file that `SITU_TOKEN_FILE` names.
+  The token comes from the first of these sources that has one: the option `token:`,
+  `config :situ_remote, tokens: %{"lab1" => "..."}` (by the host of the address), the environment variable
+  `SITU_TOKEN`, and the first line of the file named by `SITU_TOKEN_FILE`. The TLS options come from `tls:`.
 
       iex> {:ok, address} = Situ.Remote.Address.parse("situ://lab1/lobby")
       iex> Situ.Remote.Access.new(address, token: "secret")
@@ -13,13 +15,17 @@ defmodule Situ.Remote.Access do
   alias Situ.Remote.Address
 
   @schema [
-    token: [type: :string, doc: "The secret that both sides share."],
+    token: [type: :string, doc: "The secret shared by both sides."],
     tls: [type: :keyword, default: [], doc: "Options of `:ssl` for `situs://`."]
   ]
 
   @type t :: %{token: Situ.Remote.Link.Handshake.token(), tls: keyword()}
 
-  @doc "Errors: those of options, `:no_token` for a file that cannot be read."
+  @doc """
+  Returns the token and the TLS options for `address`.
+
+  Errors: invalid options, and `:no_token` if the token file cannot be read.
+  """
   @spec new(Address.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def new(%Address{} = address, opts) do
     with {:ok, opts} <- Options.validate(opts, @schema),
@@ -43,7 +49,7 @@ defmodule Situ.Remote.Access do
     with "" <- System.get_env(name), do: nil
   end
 
-  @doc "The token in a file: its first line."
+  @doc "Reads a token from the first line of a file."
   @spec first_line(Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
   def first_line(file) do
     with {:ok, text} <- File.read(file),
@@ -56,8 +62,8 @@ defmodule Situ.Remote.Access do
 
       _ ->
         {:error,
-         Error.new(:no_token, "#{file} begins with an empty line",
-           fix: "write the token into its first line"
+         Error.new(:no_token, "the first line of #{file} is empty",
+           fix: "write the token into the first line"
          )}
     end
   end

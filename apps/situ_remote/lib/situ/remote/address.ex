@@ -1,17 +1,19 @@
 defmodule Situ.Remote.Address do
   @moduledoc """
-  Where a link leads: `situ://host:port/name`, `situs://...` (TLS), or `situ+unix:///path/of/socket?name`.
+  The address of a link: `situ://host:port/name`, `situs://...` (TLS), or `situ+unix:///path/of/socket?name`.
 
-  `situs://host/name?fingerprint=...` says which certificate the server has: its SHA-256, 64 hexadecimal digits. Then no
-  other counts, whoever has signed it (`bin/situ serve --tls` prints the whole address).
+  `situs://host/name?fingerprint=...` pins the server's certificate by its SHA-256 fingerprint (64 hexadecimal digits).
+  Any other certificate is rejected, even if a trusted authority signed it. `bin/situ serve --tls` prints the full
+  address.
 
-  A host without a port is looked up among the configured names first:
+  A host without a port is first looked up among the configured names:
 
       config :situ_remote, names: %{"lab1" => "situs://10.0.0.3:11500"}
 
-  then, with `config :situ_remote, nats: "nats://lab0:4222"`, among the processes that find one another over NATS
-  (`Situ.Remote.Rendezvous`); then as a DNS service (`_situ._tcp.lab1`, SRV) where the system's resolver knows one (or
-  that of `config :situ_remote, nameservers: [{{10, 0, 0, 53}, 53}]`), and else as a host.
+  With `config :situ_remote, nats: "nats://lab0:4222"` it is then looked up among the processes that find one another
+  over NATS (`Situ.Remote.Rendezvous`). After that it is looked up as a DNS service (`_situ._tcp.lab1`, SRV), using the
+  system's resolver or `config :situ_remote, nameservers: [{{10, 0, 0, 53}, 53}]`. If none of these knows the name, it
+  is used as a hostname.
 
       iex> {:ok, address} = Situ.Remote.Address.parse("situ://lab1:4000/lobby")
       iex> {address.transport, address.host, address.port, address.name}
@@ -42,18 +44,18 @@ defmodule Situ.Remote.Address do
           name: String.t()
         }
 
-  @doc "The port that links have where none is named."
+  @doc "Returns the port used when an address does not include one."
   @spec default_port() :: :inet.port_number()
   def default_port, do: @default_port
 
-  @doc "Whether a text is meant as the address of a link."
+  @doc "Returns whether a term is a string with the scheme of a link address."
   @spec address?(term()) :: boolean()
   def address?(text) when is_binary(text),
     do: Enum.any?(~w(situ:// situs:// situ+unix://), &String.starts_with?(text, &1))
 
   def address?(_other), do: false
 
-  @doc "Errors: `:bad_address`."
+  @doc "Parses an address. Errors: `:bad_address`."
   @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
   def parse(text) when is_binary(text) do
     uri = URI.parse(text)
@@ -90,12 +92,12 @@ defmodule Situ.Remote.Address do
   defp decoded(text), do: URI.decode(text)
 
   defp bad(text) do
-    Error.new(:bad_address, "not the address of a link: #{inspect(text)}",
+    Error.new(:bad_address, "invalid link address: #{inspect(text)}",
       fix: "write situ://HOST:PORT/NAME, situs://... for TLS, or situ+unix:///PATH?NAME"
     )
   end
 
-  @doc "The address as text; without a name, the server's."
+  @doc "Formats the address. If it has no name, the result is the address of the server."
   @spec to_string(t()) :: String.t()
   def to_string(%__MODULE__{transport: :unix} = address) do
     query = if address.name == "", do: "", else: "?" <> URI.encode(address.name)
@@ -111,7 +113,7 @@ defmodule Situ.Remote.Address do
     "#{scheme}://#{host}#{port}#{name}#{pin}"
   end
 
-  @doc "Where to connect to now: names are looked up, a port is filled in."
+  @doc "Resolves the host of an address and fills in the port, so that the result can be connected to."
   @spec resolve(t(), map()) :: {:ok, t()} | {:error, Error.t()}
   def resolve(address, names \\ Application.get_env(:situ_remote, :names, %{}))
   def resolve(%__MODULE__{transport: :unix} = address, _names), do: {:ok, address}
@@ -124,7 +126,7 @@ defmodule Situ.Remote.Address do
     end
   end
 
-  # When that server is away, there are still DNS and hosts.
+  # If the NATS server is unreachable, the host can still be found by DNS or as a hostname.
   defp announced(host) do
     server = Application.get_env(:situ_remote, :nats)
     if server != nil and not ip?(host), do: Nats.find(server, host)
@@ -139,7 +141,7 @@ defmodule Situ.Remote.Address do
     end
   end
 
-  # Of the services of one name the one of the lowest priority number, and of those the one of the most weight.
+  # SRV records with the lowest priority number are preferred and, among equals, the one with the largest weight.
   defp service(%{host: host} = address) do
     with false <- ip?(host),
          [_ | _] = found <-
@@ -160,7 +162,7 @@ defmodule Situ.Remote.Address do
     end
   end
 
-  # Names of this machine alone, and numbers, are in nobody's DNS.
+  # DNS has no service records for localhost or for numeric addresses.
   defp ip?("localhost"), do: true
   defp ip?(host), do: match?({:ok, _}, host |> String.to_charlist() |> :inet.parse_address())
 end

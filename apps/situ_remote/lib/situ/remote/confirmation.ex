@@ -1,12 +1,13 @@
 defmodule Situ.Remote.Confirmation do
   @moduledoc false
-  # Where `Situ.Remote.confirm/3` ends: what has come so far is done, and need not come again after a kill.
+  # The component that `Situ.Remote.confirm/3` adds. Confirmed messages have been processed and are not sent again after
+  # a kill.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [],
     options: [
       link: [type: :pid, required: true, doc: "The `Situ.Remote.Connection`."],
-      stream: [type: :string, required: true, doc: "The stream of the link."]
+      stream: [type: :string, required: true, doc: "The name of the stream on the link."]
     ]
 
   alias Situ.Remote.Connection

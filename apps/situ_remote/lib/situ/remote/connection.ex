@@ -1,7 +1,7 @@
 defmodule Situ.Remote.Connection do
   @moduledoc false
-  # A link as one process of a pipeline: keeps a connection, learns the catalogue, hands what arrives to the components
-  # of the streams, and asks again from where each of them was when the connection comes back.
+  # A link as one process of a pipeline. It keeps a connection to the server, receives the catalogue, and passes
+  # messages to the components of the streams. After a reconnect it resumes each stream at its last position.
   use GenServer
   alias Situ.Remote.Address
   alias Situ.Remote.Link.{ClockEstimate, Dialing, Frame, Handshake, Socket}
@@ -39,22 +39,22 @@ defmodule Situ.Remote.Connection do
   @spec start(Address.t(), map(), pid()) :: {:ok, pid()}
   def start(address, opts, owner), do: GenServer.start(__MODULE__, {address, opts, owner})
 
-  @doc "Waits for the catalogue: `{:ok, %{name => type}}`, or why there is none yet."
+  @doc "Waits for the catalogue. Returns `{:ok, %{name => type}}`, or the reason that it is not available yet."
   @spec catalogue(pid(), non_neg_integer()) ::
           {:ok, %{String.t() => String.t()}} | {:error, Situ.Error.t()}
   def catalogue(pid, wait_ms) do
     GenServer.call(pid, {:catalogue, wait_ms}, wait_ms + 30_000)
   end
 
-  @doc "The calling process gets `{:situ_link, channel, event}` from now on."
+  @doc "Subscribes the calling process, which then receives `{:situ_link, channel, event}` messages."
   @spec subscribe(pid(), map()) :: {:ok, Frame.channel()} | {:error, Situ.Error.t()}
   def subscribe(pid, wanted), do: GenServer.call(pid, {:subscribe, wanted}, 30_000)
 
-  @doc "The subscriber has used `bytes` of the messages handed over, up to the originating time `last`."
+  @doc "Reports that the subscriber has consumed `bytes` of its messages, up to the originating time `last`."
   @spec taken(pid(), Frame.channel(), non_neg_integer(), Situ.Time.t() | nil) :: :ok
   def taken(pid, id, bytes, last), do: GenServer.cast(pid, {:taken, id, bytes, last})
 
-  @doc "From now on the position of a stream is its last confirmed message, not the last one handed over."
+  @doc "Makes the position of a stream its last confirmed message instead of the last one delivered."
   @spec confirming(pid(), String.t()) :: :ok
   def confirming(pid, name), do: GenServer.call(pid, {:confirming, name}, 30_000)
 
@@ -151,7 +151,7 @@ defmodule Situ.Remote.Connection do
     case Socket.open_up(socket, Dialing.most_bytes()) do
       :ok ->
         send(self(), {:ping, state.session})
-        # Ask again for the streams that the last connection carried when it broke.
+        # Subscribe again to the streams of the connection that was lost.
         {:noreply, state.channels |> Map.values() |> Enum.reduce(state, &ask(&2, &1))}
 
       {:error, reason} ->
@@ -193,7 +193,7 @@ defmodule Situ.Remote.Connection do
   def handle_info({:ping, session}, %{session: session, socket: socket} = state)
       when socket != nil do
     if System.monotonic_time(:millisecond) - state.heard > @silence_ms do
-      {:noreply, lost(state, "nothing was heard for #{div(@silence_ms, 1_000)} s")}
+      {:noreply, lost(state, "no data was received for #{div(@silence_ms, 1_000)} s")}
     else
       every = if state.pings < @first_pings, do: @first_ping_ms, else: @ping_ms
       Process.send_after(self(), {:ping, session}, every)
@@ -201,7 +201,7 @@ defmodule Situ.Remote.Connection do
     end
   end
 
-  # Nobody was asked whether there is room for it.
+  # Datagrams arrive without credit, so they are dropped when the window is full.
   def handle_info({:situ_datagrams, id, lost, body}, state) when is_map_key(state.channels, id) do
     state = if lost > 0, do: event(state, id, {:lost, lost}), else: state
 
@@ -227,7 +227,7 @@ defmodule Situ.Remote.Connection do
 
   def handle_info({:DOWN, _, :process, pid, _}, state) do
     case Enum.find(state.channels, fn {_, channel} -> channel.pid == pid end) do
-      # A component that restarts comes again; the pipeline itself does not.
+      # A component that restarts subscribes again. If the pipeline ends, this process ends, too.
       {id, _} -> {:noreply, forget(state, id)}
       nil -> {:stop, :normal, state}
     end
@@ -241,7 +241,7 @@ defmodule Situ.Remote.Connection do
     if state.socket, do: Socket.close(state.socket)
   end
 
-  # Frames of the server's.
+  # Frames from the server
 
   defp frame({:batch, id, _first, last, count, payload}, size, state),
     do: deliver(state, id, size, last, count, payload)
@@ -289,10 +289,10 @@ defmodule Situ.Remote.Connection do
   defp frame({:refused, map}, _size, _state),
     do: {:error, map |> Handshake.from_map() |> Exception.message()}
 
-  defp frame(frame, _size, _state), do: {:error, "a frame #{elem(frame, 0)} out of turn"}
+  defp frame(frame, _size, _state), do: {:error, "unexpected frame: #{elem(frame, 0)}"}
 
   defp whole({:ok, {:batch, _, _, _, _, _} = batch}, size, state), do: frame(batch, size, state)
-  defp whole(_other, _size, _state), do: {:error, "pieces that make no batch"}
+  defp whole(_other, _size, _state), do: {:error, "the joined parts are not a batch"}
 
   defp deliver(state, id, size, last, count, payload) do
     case state.channels do
@@ -335,7 +335,7 @@ defmodule Situ.Remote.Connection do
 
   defp put(state, channel), do: %{state | channels: Map.put(state.channels, channel.id, channel)}
 
-  # Connections that come and go.
+  # Connecting and reconnecting
 
   defp ask(%{socket: nil} = state, _channel), do: state
   defp ask(state, %{ended: true}), do: state
@@ -345,7 +345,7 @@ defmodule Situ.Remote.Connection do
     state |> put(channel) |> transmit({:subscribe, channel.id, map})
   end
 
-  # A failure to send is met again as a connection that has closed.
+  # Send errors are ignored here, because the socket then also reports that it was closed.
   defp transmit(%{socket: nil} = state, _frame), do: state
 
   defp transmit(state, frame) do
@@ -363,7 +363,7 @@ defmodule Situ.Remote.Connection do
     )
   end
 
-  # The same error is reported once, not at every attempt.
+  # An error that repeats is logged only once.
   defp failed(state, error) do
     if state.told != error.code and state.connected > 0,
       do: Logger.warning(Exception.message(error))
@@ -377,12 +377,12 @@ defmodule Situ.Remote.Connection do
       else: state
   end
 
-  # No waiting helps against these.
+  # Waiting longer cannot resolve these errors.
   @fatal ~w(wrong_token wrong_version wrong_certificate no_link bad_address no_recording)a
   defp fatal?(error), do: error != nil and error.code in @fatal
 
   defp silent(state),
-    do: Situ.Error.new(:unreachable, "#{Address.to_string(state.address)} has not answered yet")
+    do: Situ.Error.new(:unreachable, "#{Address.to_string(state.address)} has not responded yet")
 
   defp save(%{opts: %{position: nil}} = state), do: state
 

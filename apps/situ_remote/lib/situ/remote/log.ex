@@ -1,17 +1,19 @@
 defmodule Situ.Remote.Log do
   @moduledoc """
-  A durable log: entries on subjects; an append names the last entry, so each happens exactly once.
+  A durable log of entries, grouped by subject. An append names the last entry, so each write happens exactly once.
 
-  Every write names the sequence number of the entry that it follows (`0`: the subject is empty). It is refused when
-  somebody else has written since: that is order, exactly-once and fencing in one. A writer whose acknowledgement was
-  lost sends the same entry again; its `op`, unique to each write, tells that the entry is there already.
+  Every write names the sequence number of the entry that it follows (`0` if the subject is empty). It is refused if
+  another writer has appended an entry since. This one rule provides ordering, exactly-once writes and fencing. A writer
+  whose acknowledgement was lost sends the same entry again; its `op`, unique to each write, shows that the entry was
+  already written.
 
-  Two kinds of subjects:
+  There are two kinds of subjects:
 
-    * `{:stream, name}` keeps its entries, up to what `trim/3` takes away;
-    * `{:key, name}` keeps the last entry only (leases, checkpoints).
+    * `{:stream, name}` keeps all its entries, except those deleted by `trim/3`;
+    * `{:key, name}` keeps only the last entry (leases, checkpoints).
 
-  Two adapters:
+
+  There are two adapters:
 
   | address | adapter | for |
   |---|---|---|
@@ -40,8 +42,8 @@ defmodule Situ.Remote.Log do
   @type subject :: {:stream | :key, String.t()}
 
   @typedoc """
-  A subject that a log keeps: how many entries, their bytes, and when the last of them was written (ns since 1970;
-  `nil` where the log does not say, as NATS for keys).
+  A subject of a log: the number of its entries, their size in bytes, and the time when the last one was written (ns
+  since 1970; `nil` if the log does not record it, such as NATS for keys).
   """
   @type about :: %{
           subject: subject(),
@@ -50,13 +52,14 @@ defmodule Situ.Remote.Log do
           written: Situ.Time.t() | nil
         }
 
-  @doc "Opens the log at an address of this adapter."
+  @doc "Opens the log at an address that this adapter handles."
   @callback connect(address :: String.t(), keyword()) ::
               {:ok, conn :: term()} | {:error, Error.t()}
 
   @doc """
-  Appends behind the entry `expected`; refused, with the last entry, when that is not the last one.
-  `{:counts_from, seq}` when the subject is empty since all its entries were too old: the next one goes behind `seq`.
+  Appends after the entry `expected`. Returns `:refused` with the last entry if that is a different one.
+  Returns `{:counts_from, seq}` if the subject is empty because all its entries have expired. The next entry follows
+  `seq`.
   """
   @callback append(conn :: term(), subject(), expected :: non_neg_integer(), Entry.t()) ::
               {:ok, pos_integer()}
@@ -64,15 +67,16 @@ defmodule Situ.Remote.Log do
               | {:counts_from, pos_integer()}
               | {:error, Error.t()}
 
-  @doc "The last entry."
+  @doc "Returns the last entry, or `nil`."
   @callback last(conn :: term(), subject()) :: {:ok, Entry.t() | nil} | {:error, Error.t()}
 
-  @doc "Up to `most` entries, beginning with the first one that is at `from` or behind it."
+  @doc "Returns up to `most` entries, beginning with the first one whose number is at least `from`."
   @callback read(conn :: term(), subject(), from :: pos_integer(), most :: pos_integer()) ::
               {:ok, [Entry.t()]} | {:error, Error.t()}
 
   @doc """
-  The first entry that is at `from` or behind it, as the log's leader has it. Of a key the last two entries are kept.
+  Returns the first entry whose number is at least `from`, as known to the log's leader. The last two entries of a key
+  are kept.
   """
   @callback first(conn :: term(), subject(), from :: pos_integer()) ::
               {:ok, Entry.t() | nil} | {:error, Error.t()}
@@ -80,19 +84,19 @@ defmodule Situ.Remote.Log do
   @doc "Deletes the entries before `seq`; the last one stays."
   @callback trim(conn :: term(), subject(), seq :: pos_integer()) :: :ok | {:error, Error.t()}
 
-  @doc "Every subject that has been written to and not deleted, in any order."
+  @doc "Lists every subject that was written to and not deleted, in any order."
   @callback subjects(conn :: term()) :: {:ok, [about()]} | {:error, Error.t()}
 
-  @doc "Deletes a subject with all its entries; `:ok` when there is none."
+  @doc "Deletes a subject and all its entries. Returns `:ok` if it does not exist."
   @callback delete(conn :: term(), subject()) :: :ok | {:error, Error.t()}
 
-  @doc "The largest `data` of one entry, bytes."
+  @doc "Returns the largest size of an entry's `data` in bytes."
   @callback limit(conn :: term()) :: pos_integer()
 
-  @doc "Lets go of it."
+  @doc "Closes the log."
   @callback close(conn :: term()) :: :ok
 
-  @doc "Opens the log at `address`: a folder, or `nats://...`. Options are the adapter's."
+  @doc "Opens the log at `address`: a folder, or `nats://...`. The options are those of its adapter."
   @spec connect(String.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def connect(address, opts \\ []) when is_binary(address) do
     with {:ok, adapter} <- adapter(address),
@@ -110,13 +114,13 @@ defmodule Situ.Remote.Log do
 
       [scheme, _] ->
         {:error,
-         Error.new(:bad_address, "no log speaks #{scheme}://",
+         Error.new(:bad_address, "no log adapter supports #{scheme}://",
            fix: "give a folder, or nats://host:4222"
          )}
     end
   end
 
-  @doc "Appends behind the entry `expected`; see `c:append/4`."
+  @doc "Appends an entry after the entry `expected`; see `c:append/4`."
   @spec append(t(), subject(), non_neg_integer(), Entry.t()) ::
           {:ok, pos_integer()} | {:refused, Entry.t() | nil} | {:error, Error.t()}
   def append(%__MODULE__{adapter: adapter, conn: conn} = log, subject, expected, entry) do
@@ -124,11 +128,11 @@ defmodule Situ.Remote.Log do
          do: append(log, subject, seq, entry)
   end
 
-  @doc "The last entry, or `nil`."
+  @doc "Returns the last entry, or `nil`."
   @spec last(t(), subject()) :: {:ok, Entry.t() | nil} | {:error, Error.t()}
   def last(%__MODULE__{adapter: adapter, conn: conn}, subject), do: adapter.last(conn, subject)
 
-  @doc "Up to `most` entries from `from` on."
+  @doc "Returns up to `most` entries, starting at number `from`."
   @spec read(t(), subject(), pos_integer(), pos_integer()) ::
           {:ok, [Entry.t()]} | {:error, Error.t()}
   def read(%__MODULE__{adapter: adapter, conn: conn}, subject, from, most \\ 1),
@@ -140,7 +144,7 @@ defmodule Situ.Remote.Log do
     do: adapter.trim(conn, subject, seq)
 
   @doc """
-  Every subject that has been written to and was not deleted, by kind and name.
+  Lists every subject that was written to and not deleted, by kind and name.
 
       iex> root = Path.join(System.tmp_dir!(), "situ-log-doc-\#{System.unique_integer([:positive])}")
       iex> {:ok, log} = Situ.Remote.Log.connect(root)
@@ -158,25 +162,25 @@ defmodule Situ.Remote.Log do
   end
 
   @doc """
-  Deletes a subject with all that it holds, for good. Nobody must write to it any more: whoever does so begins it anew,
-  and its entries count from 1.
+  Deletes a subject and all its entries permanently. No process should still write to it: a later append creates the
+  subject again, and its entries count from 1.
   """
   @spec delete(t(), subject()) :: :ok | {:error, Error.t()}
   def delete(%__MODULE__{adapter: adapter, conn: conn}, subject),
     do: adapter.delete(conn, subject)
 
-  @doc "The largest `data` of one entry, bytes."
+  @doc "Returns the largest size of an entry's `data` in bytes."
   @spec limit(t()) :: pos_integer()
   def limit(%__MODULE__{adapter: adapter, conn: conn}), do: adapter.limit(conn)
 
-  @doc "Lets go of it; what was appended stays."
+  @doc "Closes the log. Appended entries are kept."
   @spec close(t()) :: :ok
   def close(%__MODULE__{adapter: adapter, conn: conn}), do: adapter.close(conn)
 
   @doc """
-  The entries from `from` on, up to the first for which `behind?` holds: bisected, since a header tells what an entry
-  holds. Answers the sequence number of the first entry that is not wholly before what is looked for; `nil` when all
-  are before.
+  Finds the first entry for which `enough?` returns true, by bisection: once true, it must stay true for later entries.
+  Entries have headers that describe their contents. Returns the sequence number of that entry, or `nil` if there is
+  none.
   """
   @spec find(t(), subject(), (Entry.t() -> boolean())) ::
           {:ok, pos_integer() | nil} | {:error, Error.t()}

@@ -1,8 +1,8 @@
 defmodule Situ.Remote.Origin do
   @moduledoc """
-  Where a server's messages come from, for one client: what a recording and live streams must answer.
+  The source of a server's messages for one client: the behaviour of recordings and live streams.
 
-  Each client has an origin of its own with a cursor for every stream it asked for, so no client waits for another.
+  Each client has a separate origin, with a cursor for every stream that it requested, so no client waits for another.
   """
   alias Situ.Remote.Link.Batch
 
@@ -10,44 +10,44 @@ defmodule Situ.Remote.Origin do
   @type cursor :: term()
 
   @typedoc """
-  Where to begin: with what comes from now on, at the beginning (of the newest version of a recording), at the first
-  message at or after a time, or behind a time.
+  The start of a subscription: messages from now on, the beginning (of the newest version of a recording), the first
+  message at or after a time, or the first message after a time.
   """
   @type from :: :now | :start | {:at, Situ.Time.t()} | {:after, Situ.Time.t()}
 
-  @typedoc "A stream as the catalogue has it: its name and its `Situ.Type` as text."
+  @typedoc "A catalogue entry for a stream: its name, and its `Situ.Type` as text."
   @type entry :: %{name: String.t(), type: String.t()}
 
-  @doc "The specification of one version of a recording."
+  @doc "Returns the specification of one version of a recording."
   @callback version(term(), non_neg_integer()) ::
               {:ok, term()} | {:error, Situ.Error.t()} | :error
 
   @callback open(term()) :: {:ok, state()} | {:error, Situ.Error.t()}
 
-  @doc "The streams there are now; `:same` when there are no others than at the last call."
+  @doc "Returns the current streams, or `:same` if they have not changed since the last call."
   @callback streams(state()) :: {[entry()] | :same, state()}
 
-  @doc "The recording itself, for questions: of this version, or the newest (`nil`)."
+  @doc "Returns the recording, for requests. `version` selects a version; `nil` selects the newest."
   @callback store(state(), version :: term()) ::
               {:ok, Situ.Store.Handle.t()} | {:error, Situ.Error.t()}
 
-  @doc "A place in a stream, and the originating time of the last message before it."
+  @doc "Returns a position in a stream, and the originating time of the last message before it."
   @callback cursor(state(), String.t(), from()) :: {:ok, cursor(), Situ.Time.t()} | :unknown
 
-  @doc "The next parts of batches (and how many messages were lost before them), nothing for now, or the end."
+  @doc "Reads the next parts of batches (with the number of messages lost before them), nothing for now, or the end."
   @callback read(state(), cursor()) ::
               {:parts, [Batch.part()], lost :: non_neg_integer(), cursor()}
               | {:idle, cursor()}
               | {:ended, Situ.Time.t()}
 
-  @doc "The cursor moved on to what a lossy policy keeps, and how many messages it leaves out."
+  @doc "Moves the cursor to the messages that a lossy policy keeps. Returns how many messages it skips."
   @callback skip(state(), cursor(), Situ.Delivery.t(), now :: Situ.Time.t()) ::
               {non_neg_integer(), cursor()}
 
-  @doc "Asks for a message to this process when there may be more, which `news/2` knows."
+  @doc "Requests a message to this process when more data may be available. `news/2` recognizes that message."
   @callback await(state()) :: state()
   @callback news(state(), term()) :: {:ok, state()} | :other
 
-  @doc "Called now and then: whether there may be something that nobody told of."
+  @doc "Called periodically. Returns whether data may be available that no message has announced."
   @callback look(state()) :: {boolean(), state()}
 end

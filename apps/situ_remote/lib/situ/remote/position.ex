@@ -1,9 +1,9 @@
 defmodule Situ.Remote.Position do
   @moduledoc """
-  How far streams of a link were read, in a file that survives a kill or a power cut at any moment.
+  Saves the positions of a link's streams in a file that survives a kill or a power failure at any moment.
 
-  A position is an originating time, by the sender's clock: everything up to it was taken. The file is JSON; it is
-  written beside, brought to the disk and then renamed, so there is always a whole one.
+  A position is an originating time of the sender's clock. All messages up to it were consumed. The file is JSON. It is
+  written under a temporary name, synced to the disk and then renamed, so that a complete file always exists.
 
       iex> path = Path.join(System.tmp_dir!(), "situ-doc-position.json")
       iex> Situ.Remote.Position.save(path, %{"imu" => 1_700_000_000_000_000_001})
@@ -19,7 +19,7 @@ defmodule Situ.Remote.Position do
 
   @type t :: %{String.t() => Situ.Time.t()}
 
-  @doc "Where the positions of a link are kept unless somebody says otherwise."
+  @doc "Returns the default path of the file for the positions of a link."
   @spec default_path(Address.t()) :: Path.t()
   def default_path(%Address{} = address) do
     state = System.get_env("XDG_STATE_HOME") || Path.join(System.user_home!(), ".local/state")
@@ -27,7 +27,7 @@ defmodule Situ.Remote.Position do
     Path.join([state, "situ", "links", file <> ".json"])
   end
 
-  @doc "Nothing where there is no file. Errors: `:bad_position`, `:io`."
+  @doc "Loads the positions. Returns an empty map if the file does not exist. Errors: `:bad_position`, `:io`."
   @spec load(Path.t()) :: {:ok, t()} | {:error, Error.t()}
   def load(path) do
     with {:ok, text} <- File.read(path),
@@ -44,13 +44,13 @@ defmodule Situ.Remote.Position do
 
       _ ->
         {:error,
-         Error.new(:bad_position, "#{path} does not hold the positions of a link",
-           fix: "delete it to begin at the beginning, or name another file with position:"
+         Error.new(:bad_position, "#{path} does not contain the positions of a link",
+           fix: "delete it to start from the beginning, or choose another file with position:"
          )}
     end
   end
 
-  @doc "Errors: `:io`."
+  @doc "Saves the positions. Errors: `:io`."
   @spec save(Path.t(), t()) :: :ok | {:error, Error.t()}
   def save(path, positions) do
     beside = path <> ".unfinished"
@@ -63,9 +63,9 @@ defmodule Situ.Remote.Position do
     else
       {:error, reason} ->
         {:error,
-         Error.new(:io, "cannot keep the positions of a link in #{path}",
+         Error.new(:io, "cannot save the positions of a link in #{path}",
            why: to_string(:file.format_error(reason)),
-           fix: "make the folder writable, or name another file with position:"
+           fix: "make the folder writable, or choose another file with position:"
          )}
     end
   end

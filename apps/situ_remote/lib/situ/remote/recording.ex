@@ -1,20 +1,20 @@
 defmodule Situ.Remote.Recording do
   @moduledoc """
-  Recordings of other machines, opened like those of this one: `Situ.Store.open("situ://lab1/lobby")`, and so by
+  Opens recordings on other machines like local ones: `Situ.Store.open("situ://lab1/lobby")`. This also works in
   `bin/situ store`, the studio, datasets and `Situ.Store.importer/3`.
 
       {:ok, store} = Situ.Store.open("situ://lab1/lobby", reader_opts: [token: "..."])
       Situ.Store.streams(store)
 
-  The other side serves it (`Situ.Remote.serve/2`, `bin/situ serve`). The address may name a version
-  (`situ://lab1/lobby.0003`); without one it is the newest at the time of opening, and stays that. The server sends
-  only the data asked for: a summary of a day is a few kilobytes. The next request opens a lost connection again;
-  until then requests fail with `:link_lost` or `:unreachable`.
+  The other side serves the recording (`Situ.Remote.serve/2`, `bin/situ serve`). The address may include a version
+  (`situ://lab1/lobby.0003`). Without one, the newest version at the time of opening is used from then on. The server
+  sends only the requested data: the summary of a day is a few kilobytes. If the connection is lost, the next request
+  opens it again. Until that succeeds, requests fail with `:link_lost` or `:unreachable`.
 
-  Options (`reader_opts:`): `token:`, `tls:` (options of `:ssl`). Where none are given the token is that of
-  `config :situ_remote, tokens: %{"lab1" => "..."}`, or the first line of the file that the environment variable
-  `SITU_TOKEN_FILE` names. With a fingerprint in the address, `situs://lab1/lobby?fingerprint=...`, only that
-  certificate is accepted.
+  Options (`reader_opts:`): `token:`, `tls:` (options of `:ssl`). By default the token is taken from
+  `config :situ_remote, tokens: %{"lab1" => "..."}`, from the environment variable `SITU_TOKEN`, or from the first line
+  of the file named by `SITU_TOKEN_FILE`. With a fingerprint in the address, `situs://lab1/lobby?fingerprint=...`, only
+  that certificate is accepted.
 
       iex> root = Path.join(System.tmp_dir!(), "situ-doc-remote-recording")
       iex> {:ok, writer} = Situ.Store.Writer.create("door", root)
@@ -39,7 +39,7 @@ defmodule Situ.Remote.Recording do
   @enforce_keys [:address, :access]
   defstruct [:address, :access, :version]
 
-  @typedoc "The address, how to get in, and the version of the recording that was opened."
+  @typedoc "The address, the token and TLS options, and the opened version of the recording."
   @type t :: %__MODULE__{address: Address.t(), access: Access.t(), version: integer() | nil}
 
   @impl true
@@ -56,7 +56,7 @@ defmodule Situ.Remote.Recording do
          do: {:ok, %{state | version: info[:version]}}
   end
 
-  # The names that a server has, as addresses; of an address with a name that one.
+  # Lists the addresses of a server's recordings. An address that already has a name is returned unchanged.
   @impl true
   def within(text) do
     with {:ok, %{name: ""} = address} <- Address.parse(text),
@@ -148,9 +148,9 @@ defmodule Situ.Remote.Recording do
     with {:ok, body} <- Client.ask(state.address, state.access, asked),
          :error <- read.(body) do
       {:error,
-       Error.new(:bad_reply, "the answer of #{where(state)} is malformed",
-         why: "the answer to #{asked["op"]} is not of the form that this release knows",
-         fix: "bring both sides to the same release of Situ"
+       Error.new(:bad_reply, "the reply from #{where(state)} is malformed",
+         why: "the reply to #{asked["op"]} does not have the form that this release expects",
+         fix: "install the same release of Situ on both sides"
        )}
     end
   end

@@ -1,47 +1,54 @@
 defmodule Situ.Remote.Rendezvous do
   @serve [
-    port: [type: {:range, 0, 65_535}, default: 13_331, doc: "The port; 0: any free one."],
+    port: [type: {:range, 0, 65_535}, default: 13_331, doc: "The port; 0 selects any free port."],
     interface: [
       type: :string,
       default: "127.0.0.1",
-      doc: "Where to listen; \"0.0.0.0\": everywhere."
+      doc: "The interface to listen on; \"0.0.0.0\" selects all."
     ],
     deadline: [
       type: :pos_integer,
       default: 10_000,
-      doc: "Ms within which a client must greet, and complete a message that it has begun."
+      doc:
+        "The time in ms within which a client must send its greeting, and complete each message that it has begun."
     ]
   ]
   @join [
     port: [type: {:range, 1, 65_535}, default: 13_331, doc: "The server's port."],
-    name: [type: :string, required: true, doc: "This process's name, unique at the server."],
-    version: [type: :string, default: "1", doc: "This process's version, for the others."],
+    name: [type: :string, required: true, doc: "The name of this process, unique at the server."],
+    version: [
+      type: :string,
+      default: "1",
+      doc: "The version of this process, shown to the others."
+    ],
     endpoints: [
       type: :list,
       default: [],
       doc:
-        "Its endpoints: `{:address, \"situ://lab1/robot\", [{\"imu\", \":float\"}]}` and others of `Wire`."
+        "Its endpoints: `{:address, \"situ://lab1/robot\", [{\"imu\", \":float\"}]}` or the other forms in `Wire`."
     ],
     listener: [
       type: {:optional, :pid},
       default: nil,
-      doc: "Gets `{:situ_rendezvous, member, {:added, process} | {:removed, name}}`."
+      doc:
+        "The process that receives `{:situ_rendezvous, member, {:added, process} | {:removed, name}}`."
     ],
     tls: [
       type: {:optional, :keyword},
       default: nil,
-      doc: "With `nats://`: options of `:ssl`; TLS is used."
+      doc: "With `nats://`: options of `:ssl`. If given, TLS is used."
     ],
     beat: [
       type: :pos_integer,
       default: 2_000,
-      doc: "With `nats://`: ms between signs of life; a process without three of them is gone."
+      doc:
+        "With `nats://`: ms between heartbeats. A process that misses three of them is removed."
     ]
   ]
 
   @moduledoc """
-  Where processes on several machines find one another: each announces what it offers, and learns of all others, as
-  they come and go.
+  Lets processes on several machines find one another: each announces its endpoints, and learns when others join or
+  leave.
 
       iex> alias Situ.Remote.Rendezvous
       iex> {:ok, server} = Rendezvous.serve(port: 0)
@@ -55,24 +62,24 @@ defmodule Situ.Remote.Rendezvous do
       iex> receive do {:situ_rendezvous, ^desk, event} -> event end
       {:removed, "robot"}
 
-  The protocol is \\psi's, version 2 (`Situ.Remote.Rendezvous.Wire`), so \\psi's processes take part. A client that dies
-  takes its processes along, what a process offers may change (`announce/2`), a client that says nothing holds up
-  nobody, and one that lost its server comes back after 50 ms to 5 s. Of two processes with one name the others see the
-  first; the second is told (`{:taken, name}`, `error/1`), and takes its place when that has gone. The protocol has no
-  authentication: everybody who can connect can announce, so leave it on the loopback address or a network of its own.
-  The server disconnects a client that does not greet, or does not complete a message, within ten seconds. When there
-  are 1,000 clients, a new one takes the place of the oldest client that has announced nothing.
+  The protocol is \\psi's, version 2 (`Situ.Remote.Rendezvous.Wire`), so \\psi's processes can take part. When a client
+  dies, its processes are removed. A process may change its endpoints (`announce/2`), a silent client does not delay the
+  others, and a client that loses its server reconnects after 50 ms to 5 s. If two processes have the same name, the
+  others see only the first. The second is notified (`{:taken, name}`, `error/1`), and replaces the first when that one
+  leaves. The protocol has no authentication: anyone who can connect can announce, so keep it on the loopback address or
+  a separate network. The server disconnects a client that does not send a greeting, or does not complete a message,
+  within ten seconds. With 1,000 clients connected, a new client replaces the oldest one that has announced nothing.
 
-  Where a NATS server is there for the log, no other is needed: `join("nats://lab1:4222,lab2:4222", name: "robot", ...)`
-  does the same over it, also over its clusters and leaf links (JetStream is not needed), with its accounts and TLS.
-  Then `config :situ_remote, nats: "nats://lab1:4222"` makes the names of such processes names of links: `situ://robot`
-  leads to the first link that the process `robot` offers.
+  If the log already uses a NATS server, no other server is needed.
+  `join("nats://lab1:4222,lab2:4222", name: "robot", ...)` does the same over NATS, including its clusters, leaf links,
+  accounts and TLS (JetStream is not needed). With `config :situ_remote, nats: "nats://lab1:4222"` the names of such
+  processes can be used in addresses: `situ://robot` resolves to the first link that the process `robot` offers.
   """
   alias Situ.{Error, Options}
   alias Situ.Remote.Rendezvous.{Member, Nats, Server, Wire}
 
   @doc """
-  A server; linked to the caller.
+  Starts a server that is linked to the caller.
 
   #{Options.docs(@serve)}
   """
@@ -81,13 +88,13 @@ defmodule Situ.Remote.Rendezvous do
     with {:ok, opts} <- Options.validate(opts, @serve), do: Server.start_link(opts)
   end
 
-  @doc "The port of a server."
+  @doc "Returns the port of a server."
   @spec port(pid()) :: :inet.port_number()
   def port(server), do: GenServer.call(server, :port)
 
   @doc """
-  Takes part at the server on `host`, or over NATS (`nats://host:4222`); linked to the caller, and gone from the
-  others' lists when it ends.
+  Joins the server on `host`, or NATS (`nats://host:4222`). The member is linked to the caller, and the others remove it
+  from their lists when it ends.
 
   #{Options.docs(@join)}
   """
@@ -100,15 +107,15 @@ defmodule Situ.Remote.Rendezvous do
     end
   end
 
-  @doc "The other processes that are there now."
+  @doc "Returns the other processes that are currently present."
   @spec peers(pid()) :: [Wire.process()]
   def peers(member), do: GenServer.call(member, :peers)
 
-  @doc "Offers these endpoints from now on."
+  @doc "Replaces the announced endpoints."
   @spec announce(pid(), [Wire.endpoint()]) :: :ok
   def announce(member, endpoints), do: GenServer.call(member, {:announce, endpoints})
 
-  @doc "Why the others do not see this process now (no connection, or another one has its name), or `nil`."
+  @doc "Returns why the others cannot see this process (no connection, or its name is taken), or `nil`."
   @spec error(pid()) :: String.t() | nil
   def error(member), do: GenServer.call(member, :error)
 end

@@ -1,9 +1,9 @@
 defmodule Situ.Remote.Server do
   @moduledoc """
-  Listens, and gives every client a process of its own (`Situ.Remote.serve/2`).
+  Listens for clients and starts a separate process for each (`Situ.Remote.serve/2`).
 
-  It bounds how many clients there are, in all and from one address, and how often one address may try with a wrong
-  token. A client that sends rubbish, sends nothing, or does not read loses its connection; nobody else notices.
+  The server limits the number of clients, in total and per address, and how often an address may try a wrong token. A
+  client that sends invalid data, sends nothing, or does not read loses its connection. Other clients are not affected.
   """
   use GenServer
   alias Situ.Error
@@ -13,15 +13,15 @@ defmodule Situ.Remote.Server do
 
   @most_clients 1_000
   @most_per_address 250
-  # So many clients at once read why they are refused; the server closes the connections of all others.
+  # This many rejected clients at a time are sent the reason; the connections of further ones are just closed.
   @most_told 50
-  # Wrong tokens of one address within a minute.
+  # The limit of wrong tokens from one address within a minute.
   @most_wrong 20
   @minute_ms 60_000
 
   defstruct [:config, listeners: [], sessions: %{}, told: MapSet.new(), wrong: %{}, refused: 0]
 
-  @doc "Opens the listeners. `config` is what sessions need: `served`, `token`, `quota`, `now`, `answer`."
+  @doc "Opens the listeners. `config` holds the settings of the sessions: `served`, `token`, `quota`, `now`."
   @spec start_link([{:tcp | :tls | :unix, keyword()}], map()) ::
           {:ok, pid()} | {:error, Error.t()}
   def start_link(listens, config) do
@@ -46,18 +46,19 @@ defmodule Situ.Remote.Server do
     end
   end
 
-  @doc "The port it listens on (`nil` without TCP and TLS)."
+  @doc "Returns the port that the server listens on, or `nil` without TCP and TLS."
   @spec port(GenServer.server()) :: :inet.port_number() | nil
   def port(server), do: GenServer.call(server, :port)
 
   @doc """
-  The address of what is served under `name`, with the fingerprint of the server's certificate; `nil` without TCP and
-  TLS. A server that listens everywhere is known to others by a name of this machine.
+  Returns the address of the recording or streams served under `name`, with the fingerprint of the server's certificate.
+  Returns `nil` without TCP and TLS. If the server listens on all interfaces, the address contains the hostname of this
+  machine.
   """
   @spec address(GenServer.server(), String.t()) :: String.t() | nil
   def address(server, name), do: GenServer.call(server, {:address, name})
 
-  @doc "The server's state: its clients with the numbers sent to each, and how many were refused."
+  @doc "Returns the server's state: its clients, with the amounts sent to each, and the number of rejected clients."
   @spec info(GenServer.server()) :: map()
   def info(server) do
     {sessions, refused} = GenServer.call(server, :sessions)
@@ -71,7 +72,7 @@ defmodule Situ.Remote.Server do
     :exit, _ -> []
   end
 
-  @doc "Waits until clients have everything that is there, at most `timeout` ms, and closes."
+  @doc "Waits up to `timeout` ms until clients have received all available data, then closes the server."
   @spec close(GenServer.server(), non_neg_integer()) :: :ok
   def close(server, timeout \\ 0) do
     until = System.monotonic_time(:millisecond) + timeout
@@ -140,8 +141,9 @@ defmodule Situ.Remote.Server do
 
   defp too_many_clients_error do
     Error.new(:too_many_clients, "the server of the link has no room for another client",
-      why: "it takes #{@most_clients} in all, and #{@most_per_address} from one address",
-      fix: "close links that nobody needs, or try again later"
+      why:
+        "it accepts #{@most_clients} clients in total, and #{@most_per_address} from one address",
+      fix: "close unused links, or try again later"
     )
   end
 
@@ -198,7 +200,7 @@ defmodule Situ.Remote.Server do
       else: {:stop, reason, state}
   end
 
-  # Somebody with many addresses does not fill the memory.
+  # Bounds the memory that an attacker with many addresses can use.
   defp trimmed(wrong) when map_size(wrong) < 10_000, do: wrong
   defp trimmed(_wrong), do: %{}
 
@@ -213,7 +215,7 @@ defmodule Situ.Remote.Server do
     end
   end
 
-  # Runs in a process of its own.
+  # Runs in a separate process.
   defp accept(listener, server) do
     case Socket.accept(listener) do
       {:ok, socket} ->

@@ -1,11 +1,11 @@
 defmodule Situ.Remote.ServerName do
   @moduledoc false
-  # How a client of TLS checks that a server's certificate names the host that it has called.
+  # Makes TLS clients verify that the certificate of a server names the host that they connect to.
 
   @doc """
-  Returns the options of `:ssl.connect` that make it compare a host with the names in the server's certificate.
+  Returns the `:ssl.connect` options that make it compare a host with the names in the server's certificate.
 
-  Erlang looks for an address among the addresses of a certificate only when no name was given.
+  Erlang compares IP addresses with those in a certificate only if no server name is given.
 
       iex> Situ.Remote.ServerName.tls_options("lab1")
       [server_name_indication: ~c"lab1"]

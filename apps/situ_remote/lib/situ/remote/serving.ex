@@ -1,7 +1,7 @@
 defmodule Situ.Remote.Serving do
   @moduledoc false
-  # The options of `Situ.Remote.serve/2` as the configuration of a server. By default nothing is open to other
-  # machines.
+  # Converts the options of `Situ.Remote.serve/2` to the configuration of a server. By default other machines cannot
+  # connect.
   alias Situ.{Certificate, Error, Options, Pipeline}
   alias Situ.Remote.{Address, Server}
   alias Situ.Remote.Link.{Handshake, Quota}
@@ -14,26 +14,26 @@ defmodule Situ.Remote.Serving do
     port: [
       type: {:or, [{:integer, 0, 65_535}, {:in, [:none]}]},
       default: Address.default_port(),
-      doc: "The TCP port; 0: any free one; `:none`: only `unix:`."
+      doc: "The TCP port. 0 selects any free port, `:none` only opens the `unix:` socket."
     ],
     interface: [
       type: :string,
       default: "127.0.0.1",
-      doc: "Where to listen; \"0.0.0.0\": everywhere."
+      doc: "The interface to listen on; \"0.0.0.0\" selects all."
     ],
     tls: [
       type: {:or, [{:optional, :keyword}, {:in, [true]}]},
       default: nil,
       doc:
-        "`true`: by a certificate made for this machine, which clients know by its fingerprint" <>
-          " (`Situ.Remote.Server.address/2` has it). Or options of `:ssl` (`certfile:`," <>
+        "`true` uses a certificate created for this machine, which clients identify by its fingerprint" <>
+          " (in `Situ.Remote.Server.address/2`). A keyword list holds options of `:ssl` (`certfile:`," <>
           " `keyfile:`; `cacertfile:`, `verify: :verify_peer` and" <>
-          " `fail_if_no_peer_cert: true` to ask clients for theirs)."
+          " `fail_if_no_peer_cert: true` to require client certificates)."
     ],
     unix: [
       type: {:optional, :string},
       default: nil,
-      doc: "The path of a Unix socket, for this user alone."
+      doc: "The path of a Unix socket, accessible only to this user."
     ],
     token: [
       type: {:or, [{:optional, :string}, {:in, [:none]}]},
@@ -45,25 +45,29 @@ defmodule Situ.Remote.Serving do
       type: {:or, [{:optional, @limit}, {:list, @limit}]},
       default: nil,
       doc:
-        "The most to send, to all clients together: `{:bytes_per_second, n}`," <>
+        "The maximum sending rate for all clients together: `{:bytes_per_second, n}`," <>
           " `{:messages_per_second, n}`, or both."
     ],
-    wait: [type: :boolean, default: false, doc: "Serve a recording that has not begun yet, too."],
+    wait: [
+      type: :boolean,
+      default: false,
+      doc: "Also serve a recording that has not been created yet."
+    ],
     keep: [
       type: :pos_integer,
       default: 60_000_000_000,
       doc:
-        "For live streams: how much of them is kept in memory for clients that are behind, ns of originating time."
+        "For live streams: how much is kept in memory for clients that lag, in ns of originating time."
     ],
     pipeline: [
       type: {:optional, {:struct, Situ.Graph.Handle}},
       default: nil,
-      doc: "The pipeline that this ends with; that of live streams is known."
+      doc: "The pipeline whose end closes the server. For live streams it is known."
     ],
     linger: [
       type: :non_neg_integer,
       default: 5_000,
-      doc: "With a pipeline: how long clients have for the rest when it ends, ms."
+      doc: "With a pipeline: how long clients may read the remaining data after it ends, ms."
     ],
     now: [type: {:fun, 0}, doc: false]
   ]
@@ -102,7 +106,7 @@ defmodule Situ.Remote.Serving do
   defp ip(interface) do
     with {:error, _} <- :inet.getaddr(to_charlist(interface), :inet),
          {:error, _} <- :inet.getaddr(to_charlist(interface), :inet6),
-         do: {:error, Error.new(:bad_address, "not an address: #{inspect(interface)}")}
+         do: {:error, Error.new(:bad_address, "invalid interface address: #{inspect(interface)}")}
   end
 
   defp fingerprint(opts) do
@@ -126,7 +130,7 @@ defmodule Situ.Remote.Serving do
     }
   end
 
-  # The pipeline whose streams these are.
+  # Finds the pipeline that the served streams belong to.
   defp pipeline(%Situ.Stream{pipeline: p}), do: p
   defp pipeline([{_name, %Situ.Stream{pipeline: p}} | _]), do: p
 
@@ -135,7 +139,7 @@ defmodule Situ.Remote.Serving do
 
   defp pipeline(_recording), do: nil
 
-  # A pipeline's server closes when its clients have all messages.
+  # The server closes when the pipeline has ended and its clients have received all messages.
   defp end_with(server, p, linger) do
     :ok = Pipeline.on(p, :completed, fn _report -> Server.close(server, linger) end)
     :ok = Pipeline.on(p, :abandoned, fn _error -> Server.close(server) end)
@@ -153,7 +157,8 @@ defmodule Situ.Remote.Serving do
 
     cond do
       opts[:port] == :none and opts[:unix] == nil ->
-        {:error, Error.new(:bad_option, "port: :none needs unix:", fix: "give unix: a path")}
+        {:error,
+         Error.new(:bad_option, "`port: :none` requires `unix:`", fix: "give unix: a path")}
 
       opts[:port] == :none or loopback?(opts[:interface]) or known? or opts[:token] == :none ->
         :ok
@@ -161,8 +166,9 @@ defmodule Situ.Remote.Serving do
       true ->
         {:error,
          Error.new(:open_to_all, "#{opts[:interface]} can be reached from other machines",
-           why: "everybody there could read the recordings",
-           fix: "give token: (16 random characters or more), or ask for certificates with tls:"
+           why: "anyone there could read the recordings",
+           fix:
+             "give a token: (16 or more random characters), or require client certificates with tls:"
          )}
     end
   end
@@ -193,8 +199,8 @@ defmodule Situ.Remote.Serving do
   defp one(%Exporter{path: path}, _opts), do: {:ok, Folder.name(path), series(path)}
   defp one(%Situ.Stream{name: name} = stream, opts), do: one([{name, stream}], opts)
 
-  # Live streams go through a recording in memory of their last stretch: clients that are slow, or away for a moment,
-  # read from there, and nobody holds up the pipeline.
+  # Live streams are written to a recording in memory that keeps their recent messages. Slow or briefly disconnected
+  # clients read from it, so they do not hold up the pipeline.
   defp one([{_, %Situ.Stream{pipeline: p}} | _] = streams, opts) do
     name = "live-#{System.unique_integer([:positive])}"
     split = max(div(opts[:keep], 4), 1)

@@ -1,14 +1,14 @@
 defmodule Situ.Remote.Source do
   @moduledoc false
-  # A stream of a link as a source: what the connection hands over waits here, as bytes, until the pipeline asks for
-  # it; only then is it read, and the sender told that there is room again.
+  # A stream of a link as a source. Batches from the connection are queued as bytes until the pipeline asks for
+  # messages. Only then are they decoded, and the sender is granted new credit.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],
     options: [
       link: [type: :pid, required: true, doc: "The `Situ.Remote.Connection`."],
       wanted: [type: :map, required: true, doc: "The request: stream, start, policy, priority."],
-      type: [type: :any, default: :any, doc: "The type of the data; other messages are left out."]
+      type: [type: :any, default: :any, doc: "The type of the data. Other messages are dropped."]
     ]
 
   alias Situ.{Error, Type}
@@ -16,7 +16,7 @@ defmodule Situ.Remote.Source do
   alias Situ.Remote.Link.{Batch, ClockEstimate}
   alias Situ.Store.Envelopes
 
-  # Nothing is looked at once more that is read in one go.
+  # Earlier than the times of all messages.
   @before_all -0x4000000000000000
 
   defstruct [
@@ -27,7 +27,7 @@ defmodule Situ.Remote.Source do
     :closed,
     :trouble,
     queue: :queue.new(),
-    # By the sender's clock, and by the one that the messages go out with.
+    # `last` is a time of the sender's clock, `posted` a time of the clock used for the emitted messages.
     last: @before_all,
     posted: @before_all,
     envelope: nil,
@@ -90,7 +90,7 @@ defmodule Situ.Remote.Source do
     end
   end
 
-  # A batch of which nothing is left is no answer.
+  # If no message of a batch remains, the next batch is used.
   defp emitted({[], state}, n, context), do: handle_demand(n, context, state)
   defp emitted({messages, state}, _n, _context), do: {[{:out, messages}], state}
 
@@ -114,7 +114,7 @@ defmodule Situ.Remote.Source do
     end
   end
 
-  # Times within a batch increase, unless somebody means harm.
+  # Times within a batch increase, unless the sender is malicious.
   defp increasing(messages, state) do
     {kept, {last, out_of_order}} =
       Enum.flat_map_reduce(messages, {state.last, 0}, fn message, {last, n} ->
@@ -132,12 +132,14 @@ defmodule Situ.Remote.Source do
     {good, bad} = Enum.split_with(messages, &Type.valid?(state.type, &1.data))
 
     trouble =
-      if bad == [], do: state.trouble, else: "data that are no #{Type.to_string(state.type)}"
+      if bad == [],
+        do: state.trouble,
+        else: "data that do not match #{Type.to_string(state.type)}"
 
     {good, %{state | unreadable: state.unreadable + length(bad), trouble: trouble}}
   end
 
-  # The estimate of the clock may go back a little; the times of a stream do not.
+  # The clock estimate may move backwards slightly, but the times of a stream must not.
   defp by_clock({messages, state}, nil), do: {messages, posted(state, messages)}
 
   defp by_clock({messages, state}, clock) do
@@ -172,6 +174,6 @@ defmodule Situ.Remote.Source do
     trouble = if state.trouble, do: " (#{state.trouble})", else: ""
 
     "#{state.taken} messages, #{state.lost} left out by the sender, " <>
-      "#{state.unreadable} unreadable#{trouble}, #{state.late} not later than the one before"
+      "#{state.unreadable} unreadable#{trouble}, #{state.late} not later than the previous one"
   end
 end

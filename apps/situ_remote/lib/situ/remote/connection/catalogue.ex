@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Connection.Catalogue do
   @moduledoc false
-  # The streams that a server has told of, and who waits to hear of them.
+  # The streams that a server has announced, and the callers waiting for the first announcement.
   alias Situ.Error
 
   defstruct known: nil, waiting: []
@@ -10,7 +10,7 @@ defmodule Situ.Remote.Connection.Catalogue do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Answers `from` at once, or when the first list comes, or with an error after `ms` (`waited/3`)."
+  @doc "Replies to `from` if a list has arrived, otherwise when it arrives, or with an error after `ms` (`waited/3`)."
   @spec await(t(), GenServer.from(), non_neg_integer()) :: t()
   def await(%__MODULE__{known: nil} = catalogue, from, ms) do
     timer = Process.send_after(self(), {:waited, from}, ms)
@@ -22,7 +22,7 @@ defmodule Situ.Remote.Connection.Catalogue do
     catalogue
   end
 
-  @doc "Takes in a server's list of streams; invalid entries are left out."
+  @doc "Merges a server's list of streams into the catalogue and skips invalid entries."
   @spec merge(t(), [term()]) :: t()
   def merge(%__MODULE__{} = catalogue, streams) do
     found =
@@ -34,7 +34,7 @@ defmodule Situ.Remote.Connection.Catalogue do
     answer(%{catalogue | known: known}, {:ok, known})
   end
 
-  @doc "No waiting helps."
+  @doc "Replies with `error` to all waiting callers."
   @spec fail(t(), Error.t()) :: t()
   def fail(%__MODULE__{} = catalogue, error), do: answer(catalogue, {:error, error})
 
@@ -47,7 +47,7 @@ defmodule Situ.Remote.Connection.Catalogue do
     %{catalogue | waiting: []}
   end
 
-  @doc "Somebody has waited long enough."
+  @doc "Replies with `error` to a caller whose timeout has passed."
   @spec waited(t(), GenServer.from(), Error.t()) :: t()
   def waited(%__MODULE__{} = catalogue, from, error) do
     case List.keytake(catalogue.waiting, from, 0) do

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Connection.Channel do
   @moduledoc """
-  One stream of a link on the receiver's side: where it is, what has arrived, what may still arrive. Pure.
+  The receiver's state of one stream: its position, the data received, and the data that may still arrive. Pure.
 
       iex> alias Situ.Remote.Connection.Channel
       iex> wanted = %{name: "imu", from: :start, policy: nil, priority: 0, window: 1_000, times: :sender}
@@ -13,7 +13,7 @@ defmodule Situ.Remote.Connection.Channel do
   """
   alias Situ.Remote.Link.Frame
 
-  # A server may go beyond the window by the frame that fills it.
+  # A server may exceed the window by the frame that fills it.
   @slack 128 * 1024 * 1024
   @most_message 1024 * 1024 * 1024
 
@@ -42,9 +42,9 @@ defmodule Situ.Remote.Connection.Channel do
   ]
 
   @typedoc """
-  Bytes `under_way` have been delivered and not been used up, `unpaid` ones used up and not been told to the server.
-  `last` is the originating time of the last message delivered, `taken` that of the last used up. `datagram`: the size
-  of the datagrams that it is to come as, `aside`: the process that takes them.
+  `under_way` counts the bytes that were delivered but not consumed yet, and `unpaid` the consumed bytes that were not
+  yet credited to the server. `last` is the originating time of the last delivered message, and `taken` the time of the
+  last consumed one. `datagram` is the requested datagram size, and `aside` is the process that receives datagrams.
   """
   @type t :: %__MODULE__{}
 
@@ -52,7 +52,7 @@ defmodule Situ.Remote.Connection.Channel do
   def new(id, pid, wanted),
     do: struct!(%__MODULE__{id: id, pid: pid, name: "", from: :now, window: 1}, wanted)
 
-  @doc "The request to a server: from the given start, or from behind the messages received already."
+  @doc "Builds the request to a server: from the configured start, or after the last message received."
   @spec ask(t()) :: {map(), t()}
   def ask(%__MODULE__{} = channel) do
     from = if channel.last, do: {:after, channel.last}, else: channel.from
@@ -66,20 +66,20 @@ defmodule Situ.Remote.Connection.Channel do
       "window" => window
     }
 
-    # This server gets credit for the bytes used from now on; bytes not yet credited to the last one are part of the
-    # window.
+    # The new server gets credit only for bytes consumed from now on. Bytes that were not yet credited to the previous
+    # server are part of the new window.
     {map, %{channel | unpaid: 0, parts: [], parts_size: 0}}
   end
 
   defp from({kind, time}), do: %{to_string(kind) => time}
   defp from(word), do: to_string(word)
 
-  @doc "The server has found the stream: messages behind `time` will come, over this connection or the next."
+  @doc "Records that the server has found the stream and will send its messages after `time`."
   @spec subscribed(t(), Situ.Time.t()) :: t()
   def subscribed(%__MODULE__{last: nil} = channel, time), do: %{channel | last: time}
   def subscribed(%__MODULE__{} = channel, _time), do: channel
 
-  @doc "A batch up to the time `last`: to be handed on, or there `:again`."
+  @doc "Accepts a batch that ends at time `last`. Returns `:again` for a batch that was received before."
   @spec delivered(t(), non_neg_integer(), Situ.Time.t(), non_neg_integer()) ::
           {:ok | :again, t()} | {:error, String.t()}
   def delivered(%__MODULE__{} = channel, size, last, count) do
@@ -88,7 +88,7 @@ defmodule Situ.Remote.Connection.Channel do
         {:again, %{channel | unpaid: channel.unpaid + size, again: channel.again + count}}
 
       channel.under_way > channel.window + @slack ->
-        {:error, "more of #{inspect(channel.name)} than was asked for"}
+        {:error, "the server sent more of #{inspect(channel.name)} than the window allows"}
 
       true ->
         under_way = channel.under_way + size
@@ -97,8 +97,8 @@ defmodule Situ.Remote.Connection.Channel do
   end
 
   @doc """
-  A piece of a batch. Its bytes are credited at once, while it waits for the rest: a message may be larger than the
-  window.
+  Adds one part of a batch. Its bytes are credited immediately, before the other parts arrive, because a message may be
+  larger than the window.
   """
   @spec part(t(), boolean(), binary()) ::
           {:more, t()} | {:whole, binary(), t()} | {:error, String.t()}
@@ -107,19 +107,19 @@ defmodule Situ.Remote.Connection.Channel do
     parts = [channel.parts, bytes]
 
     cond do
-      size > @most_message -> {:error, "a message of more than 1 GiB"}
+      size > @most_message -> {:error, "a message is larger than 1 GiB"}
       last? -> {:whole, IO.iodata_to_binary(parts), %{channel | parts: [], parts_size: 0}}
       true -> {:more, unpaid(%{channel | parts: parts, parts_size: size}, byte_size(bytes))}
     end
   end
 
-  @doc "Whether there is no room for what comes aside, where nobody asks whether there is."
+  @doc "Returns whether the window is full. Datagrams are sent without credit, so the receiver must check."
   @spec full?(t()) :: boolean()
   def full?(%__MODULE__{under_way: under_way, window: window}), do: under_way > window
 
   defp unpaid(channel, bytes), do: %{channel | unpaid: channel.unpaid + bytes}
 
-  @doc "So many bytes were used up, to the time `last`."
+  @doc "Records that the subscriber has consumed `bytes`, up to the time `last`."
   @spec taken(t(), non_neg_integer(), Situ.Time.t() | nil) :: t()
   def taken(%__MODULE__{} = channel, bytes, last) do
     unpaid = channel.unpaid + bytes
@@ -132,7 +132,7 @@ defmodule Situ.Remote.Connection.Channel do
     }
   end
 
-  @doc "The credit to send to the server; 0 while it is not worth a frame."
+  @doc "Returns the credit to send to the server, or 0 while it is too small to justify a frame."
   @spec credit(t()) :: {non_neg_integer(), t()}
   def credit(%__MODULE__{unpaid: unpaid, window: window} = channel) when unpaid * 4 >= window,
     do: {min(unpaid, 0xFFFFFFFF), %{channel | unpaid: max(unpaid - 0xFFFFFFFF, 0)}}

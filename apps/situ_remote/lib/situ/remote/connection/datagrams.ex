@@ -1,8 +1,8 @@
 defmodule Situ.Remote.Connection.Datagrams do
   @moduledoc false
-  # One stream of a link that comes as datagrams: a process with a socket of its own. Says where it is once a second (a
-  # firewall on the way forgets), puts frames together and hands them to the connection: `{:situ_datagrams, id, lost,
-  # body}`.
+  # Receives one stream of a link as datagrams, in a separate process with its own socket. It sends a hello to the
+  # server once a second, because firewalls forget idle flows. It reassembles frames and sends them to the connection
+  # as `{:situ_datagrams, id, lost, body}`.
   use GenServer
   alias Situ.Remote.Connection.Channel
   alias Situ.Remote.Link.{Datagrams, Socket}
@@ -16,7 +16,7 @@ defmodule Situ.Remote.Connection.Datagrams do
   @spec start_link(non_neg_integer(), binary()) :: {:ok, pid()}
   def start_link(id, key), do: GenServer.start_link(__MODULE__, {self(), id, key})
 
-  @doc "Adds datagrams to the request for a stream, under a new key each time."
+  @doc "Adds the datagram options to a stream's request and starts its receiver, with a new key each time."
   @spec ask({map(), Channel.t()}) :: {map(), Channel.t()}
   def ask({map, %{datagram: nil} = channel}), do: {map, channel}
 
@@ -28,12 +28,12 @@ defmodule Situ.Remote.Connection.Datagrams do
     {Map.put(map, "udp", udp), %{channel | aside: pid}}
   end
 
-  @doc "The process of a stream ends."
+  @doc "Stops the receiver process of a stream."
   @spec leave(Channel.t()) :: term()
   def leave(%{aside: nil}), do: :ok
   def leave(%{aside: pid}), do: Process.exit(pid, :shutdown)
 
-  @doc "The server has found the stream, and may have said at which port it sends."
+  @doc "Handles the server's reply to a subscription. The reply may contain the UDP port of the server."
   @spec subscribed(Channel.t(), map(), Socket.t()) :: term()
   def subscribed(%{aside: pid}, %{"udp" => port}, socket) when pid != nil and port in 1..65_535 do
     with {:ok, ip} when is_tuple(ip) <- Socket.peer(socket), do: begin(pid, {ip, port})
@@ -41,7 +41,7 @@ defmodule Situ.Remote.Connection.Datagrams do
 
   def subscribed(_channel, _map, _socket), do: :ok
 
-  @doc "The server's port, as it has told over the connection."
+  @doc "Starts receiving from the address `to`, which the server has announced over the connection."
   @spec begin(pid(), {:inet.ip_address(), :inet.port_number()}) :: :ok
   def begin(pid, to), do: GenServer.cast(pid, {:begin, to})
 
@@ -78,7 +78,7 @@ defmodule Situ.Remote.Connection.Datagrams do
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  # The first ones quickly: one may be lost.
+  # The first hellos are sent in quick succession, since any of them may be lost.
   defp here(state) do
     {ip, port} = state.to
     _ = :gen_udp.send(state.socket, ip, port, Datagrams.hello(state.key, state.seq))

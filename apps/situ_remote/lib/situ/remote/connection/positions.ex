@@ -1,8 +1,8 @@
 defmodule Situ.Remote.Connection.Positions do
   @moduledoc false
-  # How far each stream of a link has come, and which part of that its file knows. `saved`: in the file; `confirmed`:
-  # what the pipeline has confirmed (nil before the first time), which outranks what it has merely taken; `left`: of
-  # streams that nobody subscribes any more.
+  # The position of each stream of a link. `saved` holds the positions already written to the file. `confirmed` holds
+  # the positions confirmed by the pipeline (nil before the first one), which take precedence over merely delivered
+  # messages. `left` holds the positions of streams that are no longer subscribed.
   alias Situ.Error
   alias Situ.Remote.Position
 
@@ -14,7 +14,7 @@ defmodule Situ.Remote.Connection.Positions do
           left: Position.t()
         }
 
-  @doc "From now on the position of the stream is what is confirmed of it."
+  @doc "Makes the position of a stream its last confirmed message."
   @spec confirming(t(), String.t()) :: t()
   def confirming(%__MODULE__{} = positions, name),
     do: %{positions | confirmed: Map.put_new(positions.confirmed, name, nil)}
@@ -23,14 +23,14 @@ defmodule Situ.Remote.Connection.Positions do
   def confirm(%__MODULE__{} = positions, name, time),
     do: %{positions | confirmed: Map.put(positions.confirmed, name, time)}
 
-  @doc "Nobody subscribes the stream any more, of which everything up to `time` was taken."
+  @doc "Keeps the final position of a stream that is no longer subscribed: messages up to `time` were consumed."
   @spec leave(t(), String.t(), Situ.Time.t() | nil) :: t()
   def leave(%__MODULE__{} = positions, _name, nil), do: positions
 
   def leave(%__MODULE__{} = positions, name, time),
     do: %{positions | left: Map.put(positions.left, name, time)}
 
-  @doc "Writes them to the file, with those `taken` of streams that are subscribed, when they have changed."
+  @doc "Writes changed positions to the file. `taken` holds the positions of the subscribed streams."
   @spec save(t(), Path.t(), [{String.t(), Situ.Time.t() | nil}]) ::
           {:ok | {:error, Error.t()}, t()}
   def save(%__MODULE__{} = positions, path, taken) do

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Connection.Report do
   @moduledoc false
-  # How a link is, for people: `Situ.Remote.info/1`. Pure.
+  # The status of a link, as returned by `Situ.Remote.info/1`. Pure.
   alias Situ.Remote.Connection.Channel
   alias Situ.Remote.Link.ClockEstimate
 

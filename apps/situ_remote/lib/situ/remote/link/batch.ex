@@ -1,16 +1,16 @@
 defmodule Situ.Remote.Link.Batch do
   @moduledoc """
-  Messages as payloads of `batch` frames, and back. Pure.
+  Encodes messages as payloads of `batch` frames, and decodes them. Pure.
 
-  A payload begins with a byte `n` and `n` bytes that name how the data are written:
+  A payload begins with a length byte `n` and a name of `n` bytes, which selects the encoding:
 
     * `""`: one external term, a list of `{sequence id, originating time, creation time, data}`;
     * `":bytes"`, or the name of a `Situ.Codec`: for each message its sequence id (64 bits), originating and creation
-      time (64, signed), the length of what follows (32), and those bytes.
+      time (64 bits each, signed), the length of its data (32 bits), and the data.
 
-  Reading trusts nothing: terms go through the decoder of stores (no new atoms, no functions, bounded memory), and
-  binaries are parts of the payload, not copies. Data that cannot be read are a `Situ.Store.Undecoded` in their
-  message, so that a stream goes on.
+  Decoding does not trust its input. Terms go through the decoder of stores (no new atoms, no functions, bounded
+  memory). Binaries are sub-binaries of the payload, not copies. Data that cannot be decoded become a
+  `Situ.Store.Undecoded` in their message, so that the stream continues.
 
       iex> alias Situ.Remote.Link.Batch
       iex> message = %Situ.Message{data: {:ok, 1.5}, originating_time: 10, creation_time: 11, sequence_id: 3}
@@ -24,16 +24,18 @@ defmodule Situ.Remote.Link.Batch do
   alias Situ.Store.{Codecs, Terms, Undecoded}
 
   @bytes ":bytes"
-  # Smaller binaries are as well off among the terms.
+  # Encoding smaller binaries separately has no advantage over putting them into the term.
   @least_bytes 512
   @most_bytes 256 * 1024
 
-  @typedoc "First and last originating time, count and payload: what a `batch` frame says after its channel."
+  @typedoc "First and last originating time, count and payload: the fields of a `batch` frame after its channel."
   @type part :: {Situ.Time.t(), Situ.Time.t(), pos_integer(), iodata()}
 
   @doc """
-  Payloads of about 256 KiB at most, or of one message. Nothing is checked: messages that hold more than plain data
-  come out as `Situ.Store.Undecoded`; see `plain/1`.
+  Encodes messages as payloads of at most about 256 KiB, or of a single larger message.
+
+  Does not check the data: messages that contain more than plain data are decoded as `Situ.Store.Undecoded`; see
+  `plain/1`.
   """
   @spec encode([Message.t()]) :: [part()]
   def encode([]), do: []
@@ -90,7 +92,7 @@ defmodule Situ.Remote.Link.Batch do
   defp part([first | _] = messages, count, payload),
     do: {first.originating_time, List.last(messages).originating_time, count, payload}
 
-  @doc "The messages whose data may travel, and how many may not (they hold functions, processes or the like)."
+  @doc "Returns the messages that can be sent, and the number of others (they hold functions, processes or the like)."
   @spec plain([Message.t()]) :: {[Message.t()], non_neg_integer()}
   def plain(messages) do
     case Terms.encode(for %{data: data} <- messages, do: data) do
@@ -103,17 +105,17 @@ defmodule Situ.Remote.Link.Batch do
     end
   end
 
-  @doc "The messages of a payload; a sentence says why they cannot be read at all."
+  @doc "Decodes the messages of a payload. If the payload is unreadable, returns the reason as text."
   @spec decode(binary()) :: {:ok, [Message.t()]} | {:error, String.t()}
   def decode(<<0, bytes::binary>>) do
     with {:ok, list} when is_list(list) <- Terms.decode(bytes),
          do: terms(list, []),
-         else: (_ -> {:error, "no list of messages"})
+         else: (_ -> {:error, "the payload is not a list of messages"})
   end
 
   def decode(<<n, name::binary-size(n), records::binary>>) do
     case decoder(name) do
-      nil -> {:error, "a codec whose name is no text"}
+      nil -> {:error, "the codec name is not valid UTF-8"}
       decode -> records(records, decode, [])
     end
   end
@@ -133,7 +135,7 @@ defmodule Situ.Remote.Link.Batch do
   end
 
   defp terms([], done), do: {:ok, Enum.reverse(done)}
-  defp terms(_other, _done), do: {:error, "no list of messages"}
+  defp terms(_other, _done), do: {:error, "the payload is not a list of messages"}
 
   defp decoder(@bytes), do: & &1
 
@@ -145,7 +147,7 @@ defmodule Situ.Remote.Link.Batch do
   end
 
   defp decoded(nil, name, bytes) do
-    why = "no module here has the codec #{inspect(name)}"
+    why = "no loaded module has the codec #{inspect(name)}"
     %Undecoded{codec: name, bytes: bytes, reason: why}
   end
 

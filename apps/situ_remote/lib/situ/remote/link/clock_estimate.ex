@@ -1,36 +1,36 @@
 defmodule Situ.Remote.Link.ClockEstimate do
   @moduledoc """
-  How far the other side's clock is ahead of ours, and how fast that changes, from round trips. Pure.
+  Estimates from round trips how far the remote clock is ahead of the local one, and how fast that changes. Pure.
 
-  A round trip is four times: sent at `t0` and back at `t3` by our clock, received at `t1` and answered at `t2` by
-  theirs. It shows an offset of `((t1 - t0) + (t2 - t3)) / 2`, wrong by at most half of the time it was on its way,
-  whatever the ways there and back (RFC 5905, section 8). So quick round trips count most: the offset and the drift are
-  a line through the last minutes' samples, each weighted by how much longer than the quickest it took. Where a clock
-  was set, what was known before is let go.
+  A round trip consists of four times: sent at `t0` and back at `t3` by the local clock, received at `t1` and returned
+  at `t2` by the remote clock. It shows an offset of `((t1 - t0) + (t2 - t3)) / 2`. The error is at most half of the
+  network delay, however that delay is split between the two directions (RFC 5905, section 8). Quick round trips
+  therefore count most. Offset and drift are a line fitted to the samples of the last minutes, each weighted by how much
+  longer it took than the quickest one. If one of the clocks was set, earlier samples are discarded.
 
       iex> alias Situ.Remote.Link.ClockEstimate
       iex> clock = ClockEstimate.add(ClockEstimate.new(), {1_000, 6_100, 6_200, 1_300})
       iex> {ClockEstimate.offset(clock, 1_300), ClockEstimate.uncertainty(clock, 1_300)}
       {5_000, 100}
   """
-  # About four minutes of one round trip a second.
+  # About four minutes, at one round trip a second.
   @most 256
   @least_for_drift 8
   @least_span 10_000_000_000
-  # Crystals of computers stay within this; nothing more is believed.
+  # The crystals of computers stay within this drift, so larger values are clamped.
   @most_drift 500.0e-6
   @steps 3
 
   defstruct samples: [], offset: 0.0, drift: 0.0, at: nil, rtt: nil, error: 0.0, odd: 0
 
-  @typedoc "`offset` (ns, theirs minus ours) at our time `at`, `drift` in ns per ns; `rtt` is the quickest one, ns."
+  @typedoc "`offset` (remote minus local, ns) at local time `at`, `drift` (ns per ns), `rtt` of the quickest trip (ns)."
   @type t :: %__MODULE__{}
   @type trip :: {Situ.Time.t(), Situ.Time.t(), Situ.Time.t(), Situ.Time.t()}
 
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "One more round trip. One that took less than no time is none."
+  @doc "Adds a round trip and updates the estimate. Round trips with a negative duration are ignored."
   @spec add(t(), trip()) :: t()
   def add(%__MODULE__{} = clock, {t0, t1, t2, t3}) when t3 >= t0 and t2 >= t1 do
     rtt = max(t3 - t0 - (t2 - t1), 0)
@@ -40,7 +40,7 @@ defmodule Situ.Remote.Link.ClockEstimate do
 
   def add(%__MODULE__{} = clock, _trip), do: clock
 
-  # Three in a row that cannot be explained: a clock was set.
+  # Three unexplained samples in a row mean that a clock was set.
   defp stepped(%{at: nil} = clock, _sample), do: clock
 
   defp stepped(clock, {at, offset, rtt}) do
@@ -65,7 +65,7 @@ defmodule Situ.Remote.Link.ClockEstimate do
       else: quickest(%{clock | at: at, rtt: rtt})
   end
 
-  # Of two equally quick ones the later.
+  # If two trips were equally quick, `Enum.min_by/2` returns the later one, which is first in the list.
   defp quickest(clock) do
     {at, offset, rtt} = Enum.min_by(clock.samples, &elem(&1, 2))
     %{clock | offset: offset, drift: 0.0, at: at, error: rtt / 2}
@@ -89,22 +89,25 @@ defmodule Situ.Remote.Link.ClockEstimate do
     %{clock | offset: mean_o - drift * mean_t, drift: drift, error: quickest / 2}
   end
 
-  @doc "Theirs minus ours at our time `now`, ns; 0 before the first round trip."
+  @doc "Returns the offset (remote minus local clock, ns) at the local time `now`, or 0 before the first round trip."
   @spec offset(t(), Situ.Time.t()) :: integer()
   def offset(%__MODULE__{at: nil}, _now), do: 0
   def offset(%__MODULE__{} = clock, now), do: round(clock.offset + clock.drift * (now - clock.at))
 
-  @doc "How wrong that may be, ns: half of the quickest round trip, and 20 ppm of the time since; `nil` at first."
+  @doc """
+  Returns the uncertainty of the offset in ns: half of the quickest round trip, and 20 ppm of the time since the
+  estimate. Returns `nil` before the first round trip.
+  """
   @spec uncertainty(t(), Situ.Time.t()) :: non_neg_integer() | nil
   def uncertainty(%__MODULE__{at: nil}, _now), do: nil
 
   def uncertainty(%__MODULE__{} = clock, now),
     do: round(clock.error + 20.0e-6 * Kernel.abs(now - clock.at))
 
-  @doc "A time of theirs by our clock."
+  @doc "Converts a time of the remote clock to the local clock."
   @spec to_ours(t(), Situ.Time.t()) :: Situ.Time.t()
   def to_ours(%__MODULE__{at: nil}, time), do: time
 
-  # The offset belongs to our time, which is what is looked for: one step is exact to the square of the drift.
+  # The offset is a function of the local time, which is the unknown. One step is exact to the square of the drift.
   def to_ours(%__MODULE__{} = clock, time), do: time - offset(clock, time - round(clock.offset))
 end

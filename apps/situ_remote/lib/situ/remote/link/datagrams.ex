@@ -1,21 +1,21 @@
 defmodule Situ.Remote.Link.Datagrams do
   @moduledoc """
-  Frames as datagrams of any size, and back. Pure.
+  Splits frames into datagrams of any size, and reassembles them. Pure.
 
-  A frame is cut into pieces, each a datagram: `seq` (64 bits, never used twice with a key), then, encrypted and
-  authenticated by AES-128-GCM under a key that both sides agreed on over their connection:
+  A frame is split into segments, one per datagram. A datagram begins with `seq` (64 bits, never used twice with a key).
+  The rest is encrypted and authenticated by AES-128-GCM, under a key that both sides agreed on over their connection:
 
   | bits | |
   |---|---|
   | 32 | set: the number of the frame |
-  | 16, 16 | number of the piece (from 0), how many there are |
-  | 64 | messages that were sent in the sets before |
+  | 16, 16 | number of the segment (from 0), number of segments |
+  | 64 | messages sent in earlier sets |
   | 32 | messages in this set |
-  | | the piece |
+  | | the segment |
 
-  The receiver puts sets together as their pieces come, in any order, some twice, some never. A set that lacks pieces is
-  given up when two later ones are whole; sets come out in order, and how many messages were lost before each is known
-  exactly, since every set says how many messages came before it.
+  The receiver reassembles sets from segments that may arrive in any order, more than once, or never. It gives up an
+  incomplete set when two later ones are complete. Sets are returned in order. The exact number of messages lost before
+  each is known, since every set carries the number of messages sent before it.
 
       iex> alias Situ.Remote.Link.Datagrams
       iex> key = <<7::128>>
@@ -35,7 +35,7 @@ defmodule Situ.Remote.Link.Datagrams do
   @overhead 8 + @tag + @head
   @least @overhead + 1
   @most 65_507
-  # How many sets may be incomplete at once, and how many later ones end the wait for one.
+  # `@open` limits the incomplete sets, and `@patience` is the number of later complete sets that ends the wait for one.
   @open 16
   @patience 2
 
@@ -52,11 +52,11 @@ defmodule Situ.Remote.Link.Datagrams do
   @type sender :: %Sender{}
   @type receiver :: %Receiver{}
 
-  @doc "The smallest and the largest size of a datagram, bytes."
+  @doc "Returns the smallest and the largest size of a datagram in bytes."
   @spec sizes() :: {pos_integer(), pos_integer()}
   def sizes, do: {@least, @most}
 
-  @doc "Datagrams of `size` bytes at most."
+  @doc "Returns a sender for datagrams of at most `size` bytes."
   @spec sender(<<_::128>>, pos_integer()) :: sender()
   def sender(<<key::binary-16>>, size) when size in @least..@most,
     do: %Sender{key: key, piece: size - @overhead}
@@ -64,7 +64,11 @@ defmodule Situ.Remote.Link.Datagrams do
   @spec receiver(<<_::128>>) :: receiver()
   def receiver(<<key::binary-16>>), do: %Receiver{key: key}
 
-  @doc "The datagrams of a frame with so many messages; none when it takes more than 65,535 of them: it is lost."
+  @doc """
+  Splits a frame that holds the given number of messages into datagrams.
+
+  A frame that would need more than 65,535 of them is lost, and the list is empty.
+  """
   @spec split(sender(), iodata(), non_neg_integer()) :: {[binary()], sender()}
   def split(%Sender{} = sender, frame, messages) do
     pieces = frame |> IO.iodata_to_binary() |> cut(sender.piece)
@@ -91,7 +95,7 @@ defmodule Situ.Remote.Link.Datagrams do
     [piece | cut(rest, size)]
   end
 
-  @doc "The frames that are whole now, in order, each with the number of messages lost before it."
+  @doc "Adds a datagram. Returns the frames it completes, in order, each with the number of messages lost before it."
   @spec take(receiver(), binary()) :: {[{non_neg_integer(), binary()}], receiver()}
   def take(%Receiver{} = receiver, datagram) do
     with {:ok, <<set::32, number::16, count::16, before::64, messages::32, piece::binary>>} <-
@@ -99,7 +103,7 @@ defmodule Situ.Remote.Link.Datagrams do
          true <- number < count and set >= receiver.next do
       receiver |> put(set, number, count, {before, messages}, piece) |> whole([])
     else
-      # Somebody else's, or too late.
+      # The datagram is from another sender, or it is too late.
       _ -> {[], receiver}
     end
   end
@@ -116,7 +120,7 @@ defmodule Situ.Remote.Link.Datagrams do
     end
   end
 
-  # A sender that begins many and ends none does not fill the memory.
+  # Bounds the memory that a sender can claim by beginning many sets without completing them.
   defp bounded(%{sets: sets} = receiver) when map_size(sets) > @open do
     oldest = sets |> Map.keys() |> Enum.min()
     %{receiver | sets: Map.delete(sets, oldest), next: max(receiver.next, oldest + 1)}
@@ -138,7 +142,7 @@ defmodule Situ.Remote.Link.Datagrams do
     end
   end
 
-  # No earlier set has begun. Before the first set there is nothing to wait for.
+  # Before the first set there is nothing to wait for, unless segments of an earlier set have arrived.
   defp none_before?(%{next: 0, sets: sets}, first),
     do: Enum.all?(sets, fn {set, _} -> set >= first end)
 
@@ -153,7 +157,7 @@ defmodule Situ.Remote.Link.Datagrams do
     whole(receiver, [{lost, frame} | frames])
   end
 
-  @doc "A datagram by which a receiver says where it is."
+  @doc "Encodes the datagram that shows the server the address of the receiver."
   @spec hello(<<_::128>>, non_neg_integer()) :: binary()
   def hello(key, seq), do: seal(key, 1, seq, "here")
 

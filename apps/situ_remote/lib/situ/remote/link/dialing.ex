@@ -1,19 +1,19 @@
 defmodule Situ.Remote.Link.Dialing do
   @moduledoc false
-  # From an address to a connection that is logged in, in a process of its own, since names, TLS and a server that says
-  # nothing may each take seconds.
+  # Connects to an address and logs in. This runs in a separate process, since name lookup, TLS and an unresponsive
+  # server may each take seconds.
   alias Situ.{Error, Remote}
   alias Situ.Remote.Link.{Frame, Handshake, Socket}
 
   @timeout_ms 5_000
-  # The longest frame that a server may send: a piece of a batch, or a catalogue.
+  # The longest frame that a server may send: a part of a batch, or a catalogue.
   @most_bytes 64 * 1024 * 1024
 
-  @doc "The longest frame that is taken from a server, bytes."
+  @doc "Returns the size in bytes of the longest frame accepted from a server."
   @spec most_bytes() :: pos_integer()
   def most_bytes, do: @most_bytes
 
-  @doc "Tries once; the caller gets `{:dialed, dialer, {:ok, socket, welcome} | {:error, error}}`."
+  @doc "Tries to connect once. The caller receives `{:dialed, dialer, {:ok, socket, welcome} | {:error, error}}`."
   @spec start(Remote.Address.t(), map()) :: pid()
   def start(address, opts) do
     caller = self()
@@ -32,7 +32,7 @@ defmodule Situ.Remote.Link.Dialing do
     end)
   end
 
-  @doc "The names of all recordings of a server; the name in the address is ignored."
+  @doc "Returns the names of all recordings of a server. The name in the address is ignored."
   @spec names(Remote.Address.t(), map()) :: {:ok, [String.t()]} | {:error, Error.t()}
   def names(address, opts) do
     with {:ok, socket, welcome} <- dial(address, Map.put(opts, :list, true)) do
@@ -66,16 +66,16 @@ defmodule Situ.Remote.Link.Dialing do
     else
       {:proved, false} ->
         {:error,
-         Error.new(:wrong_token, "the server of the link does not know the token",
-           why: "it could not prove that it does",
-           fix: "check that this is the right server, and give both sides the same token:"
+         Error.new(:wrong_token, "the server of the link has a different token",
+           why: "its proof does not match the token given here",
+           fix: "check that this is the right server, and give both sides the same `token:`"
          )}
 
       {:ok, {:refused, map}} ->
         {:error, Handshake.from_map(map)}
 
       {:ok, frame} ->
-        {:error, not_situ("a frame #{elem(frame, 0)} where a greeting was due")}
+        {:error, not_situ("received the frame #{elem(frame, 0)} instead of a greeting")}
 
       {:error, %Error{} = error} ->
         {:error, error}
@@ -98,9 +98,9 @@ defmodule Situ.Remote.Link.Dialing do
   defp not_situ(why) do
     Error.new(:no_link, "the program at that port does not speak the link protocol",
       why: why,
-      fix: "check host and port, and TLS (situs://) on both sides or on none"
+      fix: "check host and port, and use TLS (situs://) on both sides or on neither"
     )
   end
 
-  defp gone, do: Error.new(:unreachable, "the connection ended at once")
+  defp gone, do: Error.new(:unreachable, "the connection was closed right after the login")
 end

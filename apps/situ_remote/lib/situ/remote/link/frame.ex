@@ -1,10 +1,10 @@
 defmodule Situ.Remote.Link.Frame do
   @moduledoc """
-  The frames of a link, as terms and as bytes. Pure.
+  Encodes and decodes the frames of a link. Pure.
 
-  On the wire a frame is a 32-bit big-endian length (which TCP, TLS and Unix sockets add and take off by `packet: 4`)
-  and a body: one byte that says which kind it is, then what the table says. Integers are big-endian, `time` is a
-  signed 64-bit number of nanoseconds, `json` is the rest of the body.
+  On the wire a frame is a 32-bit big-endian length (which TCP, TLS and Unix sockets add and strip with `packet: 4`) and
+  a body. The body is one byte for the kind of the frame, followed by the fields in the table. Integers are big-endian,
+  `time` is a signed 64-bit number of nanoseconds, and `json` is the rest of the body.
 
   | byte | frame | body | from |
   |---|---|---|---|
@@ -60,11 +60,11 @@ defmodule Situ.Remote.Link.Frame do
           | {:request, 0..0xFFFFFFFF, map()}
           | {:reply, 0..0xFFFFFFFF, iodata()}
 
-  @doc "The version of the protocol spoken here."
+  @doc "Returns the protocol version of this release."
   @spec version() :: 0..0xFFFF
   def version, do: @version
 
-  @doc "A frame's body."
+  @doc "Encodes the body of a frame."
   @spec encode(t()) :: iodata()
   def encode({:hello, version, oldest, <<nonce::binary-16>>}),
     do: <<1, @magic, version::16, oldest::16, nonce::binary>>
@@ -91,7 +91,7 @@ defmodule Situ.Remote.Link.Frame do
   def encode({:request, id, map}), do: [<<16, id::32>>, JSON.encode(map)]
   def encode({:reply, id, payload}), do: [<<17, id::32>>, payload]
 
-  @doc "The frame of a body. Payloads are parts of `body`; nothing is copied. A sentence says why it is none."
+  @doc "Decodes a body. Payloads are sub-binaries of `body`, not copies. Returns the reason as text if it is invalid."
   @spec decode(binary()) :: {:ok, t()} | {:error, String.t()}
   def decode(<<10, channel::32, first::signed-64, last::signed-64, count::32, rest::binary>>),
     do: {:ok, {:batch, channel, first, last, count, rest}}
@@ -112,12 +112,12 @@ defmodule Situ.Remote.Link.Frame do
   def decode(<<1, @magic, version::16, oldest::16, nonce::binary-16>>),
     do: {:ok, {:hello, version, oldest, nonce}}
 
-  # Later versions may say more behind it; who they are must be readable for ever.
+  # Later versions may append fields, but their version numbers must remain readable.
   def decode(<<1, @magic, version::16, oldest::16, nonce::binary-16, _::binary>>)
       when version > @version,
       do: {:ok, {:hello, version, oldest, nonce}}
 
-  def decode(<<1, _::binary>>), do: {:error, "a greeting that is not Situ's"}
+  def decode(<<1, _::binary>>), do: {:error, "the greeting is not from Situ"}
 
   def decode(<<2, proof::binary-32, json::binary>>),
     do: with_map(json, &{:login, proof, &1})
@@ -138,7 +138,7 @@ defmodule Situ.Remote.Link.Frame do
   defp with_map(json, frame) do
     case JSON.decode(json) do
       {:ok, %{} = map} -> {:ok, frame.(map)}
-      _ -> {:error, "a frame whose text is no JSON object"}
+      _ -> {:error, "the text of a frame is not a JSON object"}
     end
   end
 end

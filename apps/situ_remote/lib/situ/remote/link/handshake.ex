@@ -1,11 +1,11 @@
 defmodule Situ.Remote.Link.Handshake do
   @moduledoc """
-  Who may talk: both sides say their version and a nonce, then each proves that it knows the token. Pure.
+  Authenticates both sides of a link: each sends its version and a nonce, then proves that it knows the token. Pure.
 
-  The token never goes over the wire: a proof is the HMAC-SHA256 of the prover's role and both nonces under the token,
-  so what somebody overhears is of no use later, and a client notices a server that does not know the token.
+  The token is never sent. A proof is the HMAC-SHA256 of the prover's role and both nonces under the token, so an
+  eavesdropper cannot reuse it, and a client detects a server that does not know the token.
 
-  Versions: each side says the newest and the oldest it speaks; the older of the two newest ones is spoken.
+  Each side announces the newest and the oldest version it supports. The link uses the older of the two newest versions.
 
       iex> alias Situ.Remote.Link.Handshake
       iex> {ours, theirs} = {Handshake.nonce(), Handshake.nonce()}
@@ -26,42 +26,42 @@ defmodule Situ.Remote.Link.Handshake do
 
   @type role :: :client | :server
 
-  @doc "The greeting of one side."
+  @doc "Builds the greeting of one side."
   @spec hello(binary()) :: Frame.t()
   def hello(nonce), do: {:hello, Frame.version(), @oldest, nonce}
 
   @spec nonce() :: binary()
   def nonce, do: :crypto.strong_rand_bytes(16)
 
-  @doc "The newest version that both `{newest, oldest}` speak."
+  @doc "Returns the newest version that both `{newest, oldest}` ranges include."
   @spec agree({integer(), integer()}, {integer(), integer()}) :: {:ok, integer()} | :error
   def agree({ours, our_oldest}, {theirs, their_oldest}) do
     version = min(ours, theirs)
     if version >= max(our_oldest, their_oldest), do: {:ok, version}, else: :error
   end
 
-  @doc "As `agree/2` for what is spoken here; the error tells both sides' versions."
+  @doc "Checks the remote versions against this release, as `agree/2` does. The error names the versions of both sides."
   @spec check_version(integer(), integer()) :: {:ok, integer()} | {:error, Error.t()}
   def check_version(theirs, their_oldest) do
     with :error <- agree({Frame.version(), @oldest}, {theirs, their_oldest}) do
       {:error,
        Error.new(:wrong_version, "the two sides of the link speak different versions",
          why:
-           "here #{@oldest} to #{Frame.version()}, on the other side #{their_oldest} to #{theirs}",
-         fix: "bring both to the same release of Situ"
+           "this side supports #{@oldest} to #{Frame.version()}, the other side #{their_oldest} to #{theirs}",
+         fix: "install the same release of Situ on both sides"
        )}
     end
   end
 
-  @typedoc "A token; where processes keep it, as a function, which no log and no `:sys.get_state/1` shows."
+  @typedoc "A token, or a function that returns it. Processes store the function, so that logs do not show the token."
   @type token :: String.t() | (() -> String.t())
 
-  @doc "Hides a token from whatever prints it."
+  @doc "Wraps a token in a function, so that inspecting a term does not print it."
   @spec hide(token()) :: token()
   def hide(token) when is_binary(token), do: fn -> token end
   def hide(token) when is_function(token, 0), do: token
 
-  @doc "The proof of `role` that it knows the token."
+  @doc "Builds the proof that `role` knows the token."
   @spec proof(token(), role(), server_nonce :: binary(), client_nonce :: binary()) :: binary()
   def proof(token, role, server_nonce, client_nonce) when is_function(token, 0),
     do: proof(token.(), role, server_nonce, client_nonce)
@@ -73,7 +73,7 @@ defmodule Situ.Remote.Link.Handshake do
   def proves?(token, role, server_nonce, client_nonce, shown),
     do: :crypto.hash_equals(proof(token, role, server_nonce, client_nonce), shown)
 
-  @doc "An error as what a refusal says, and back."
+  @doc "Converts an error to the map that a `:refused` frame carries."
   @spec to_map(Error.t()) :: map()
   def to_map(%Error{} = error) do
     %{

@@ -1,10 +1,10 @@
 defmodule Situ.Remote.Link.Quota do
   @moduledoc """
-  The most that a server sends: bytes and messages a second, shared by its clients.
+  Limits the bytes and messages per second that a server sends, shared by its clients.
 
-  The quota is a time at which everything sent so far is paid for (the generic cell rate algorithm, ITU-T I.371):
-  sending adds its cost, and a sender more than a tenth of a second ahead waits for the rest. Any process may take
-  from it.
+  The quota is the time by which everything sent so far is paid for (the generic cell rate algorithm, ITU-T I.371).
+  Sending adds its cost, and a sender that is more than a tenth of a second ahead waits for the excess. Any process may
+  use the quota.
 
       iex> alias Situ.Remote.Link.Quota
       iex> quota = Quota.new({:bytes_per_second, 1_000_000})
@@ -20,7 +20,7 @@ defmodule Situ.Remote.Link.Quota do
   @opaque t :: %__MODULE__{limits: [{:bytes | :messages, number(), :atomics.atomics_ref()}]}
   @type limit :: {:bytes_per_second | :messages_per_second, pos_integer()}
 
-  @doc "Of no limit (`nil`), one, or a list of them."
+  @doc "Builds a quota from `nil` (no limit), one limit, or a list of limits."
   @spec new(nil | limit() | [limit()]) :: t()
   def new(nil), do: %__MODULE__{}
 
@@ -29,7 +29,7 @@ defmodule Situ.Remote.Link.Quota do
     %__MODULE__{limits: limits}
   end
 
-  # The monotonic clock begins far below zero.
+  # The monotonic clock may be negative, so the start value must be below any of its times.
   defp paid do
     paid = :atomics.new(1, signed: true)
     :atomics.put(paid, 1, -0x7FFFFFFFFFFFFFFF)
@@ -39,7 +39,7 @@ defmodule Situ.Remote.Link.Quota do
   defp unit_of(:bytes_per_second), do: :bytes
   defp unit_of(:messages_per_second), do: :messages
 
-  @doc "Counts what was sent at `now` (ns, monotonic); how long to wait before anything else is, ns."
+  @doc "Charges data sent at `now` (ns, monotonic). Returns how long to wait before sending more, in ns."
   @spec take(t(), non_neg_integer(), non_neg_integer(), integer()) :: non_neg_integer()
   def take(%__MODULE__{limits: []}, _bytes, _messages, _now), do: 0
 
@@ -62,7 +62,7 @@ defmodule Situ.Remote.Link.Quota do
     end
   end
 
-  @doc "The bytes of a piece small enough that something more important waits for it no longer than 50 ms."
+  @doc "Returns a part size, at most `most` bytes, that delays more important data by no more than 50 ms."
   @spec piece(t(), pos_integer()) :: pos_integer()
   def piece(%__MODULE__{limits: limits}, most) do
     case List.keyfind(limits, :bytes, 0) do

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Link.Schedule do
   @moduledoc """
-  Whose turn it is to be sent: the highest priority first, those of one priority in turns. Pure.
+  Decides which channel sends next: the highest priority first, round-robin within a priority. Pure.
 
       iex> alias Situ.Remote.Link.Schedule
       iex> schedule = Enum.reduce([a: 0, b: 5, c: 0, d: 5], Schedule.new(), fn {k, p}, s -> Schedule.put(s, k, p) end)
@@ -18,7 +18,7 @@ defmodule Situ.Remote.Link.Schedule do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "At the end of its priority's queue; once, however often."
+  @doc "Appends `key` to the queue of its priority, unless it is already queued."
   @spec put(t(), term(), integer()) :: t()
   def put(%__MODULE__{} = schedule, key, priority) do
     if MapSet.member?(schedule.members, key) do

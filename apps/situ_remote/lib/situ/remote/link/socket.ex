@@ -1,13 +1,13 @@
 defmodule Situ.Remote.Link.Socket do
   @moduledoc false
-  # Connections that carry frames, over TCP, TLS and Unix sockets alike.
+  # Connections that carry frames, over TCP, TLS or Unix sockets.
   alias Situ.{Certificate, Error}
   alias Situ.Remote.{Address, ServerName}
 
-  @typedoc "A connection or a listener, by the module of OTP that has it."
+  @typedoc "A connection or a listener, with the OTP module that owns it."
   @type t :: {:gen_tcp | :ssl, term()}
 
-  # A frame that claims to be longer ends the connection before a byte of it is taken in.
+  # A frame with a larger length field ends the connection before any of its body is read.
   @most_before_login 64 * 1024
   @send_timeout 30_000
 
@@ -19,13 +19,13 @@ defmodule Situ.Remote.Link.Socket do
     send_timeout: @send_timeout,
     send_timeout_close: true
   ]
-  # A handshake ends with one of these when a certificate does not count (the name of a host: `handshake_failure`).
+  # TLS alerts caused by a rejected certificate (a wrong hostname causes `handshake_failure` instead).
   @certificate_alerts ~w(unknown_ca bad_certificate unsupported_certificate certificate_expired certificate_revoked
     certificate_unknown certificate_required)a
 
   @internet [nodelay: true, keepalive: true]
 
-  @doc "Errors: `:address_in_use`, `:bad_address`, `:bad_tls`."
+  @doc "Opens a listener. Errors: `:address_in_use`, `:bad_address`, `:bad_tls`."
   @spec listen(:unix | :tcp | :tls, keyword()) :: {:ok, t()} | {:error, Error.t()}
   def listen(:unix, opts) do
     path = opts[:path]
@@ -59,7 +59,7 @@ defmodule Situ.Remote.Link.Socket do
   defp wrap(module, {:ok, socket}), do: {:ok, {module, socket}}
   defp wrap(_module, error), do: error
 
-  # A socket whose server was killed is still in the folder.
+  # A killed server leaves its socket file in the folder.
   defp clear(path) do
     case :gen_tcp.connect({:local, path}, 0, [], 1_000) do
       {:ok, socket} ->
@@ -84,17 +84,17 @@ defmodule Situ.Remote.Link.Socket do
   defp refusal(:options), do: :bad_tls
   defp refusal(_reason), do: :bad_address
 
-  @doc "The next connection, before its TLS handshake (`established/2`)."
+  @doc "Accepts the next connection, without its TLS handshake (see `established/2`)."
   @spec accept(t()) :: {:ok, t()} | {:error, term()}
   def accept({:gen_tcp, listener}), do: wrap(:gen_tcp, :gen_tcp.accept(listener))
   def accept({:ssl, listener}), do: wrap(:ssl, :ssl.transport_accept(listener))
 
-  @doc "Done in the connection's own process: nobody waits for a peer that is slow with it."
+  @doc "Completes the TLS handshake. The process of the connection calls this, so a slow peer delays no other client."
   @spec established(t(), timeout()) :: {:ok, t()} | {:error, term()}
   def established({:gen_tcp, _} = socket, _timeout), do: {:ok, socket}
   def established({:ssl, socket}, timeout), do: wrap(:ssl, :ssl.handshake(socket, timeout))
 
-  @doc "Errors: `:unreachable`, `:wrong_certificate`."
+  @doc "Connects to an address. Errors: `:unreachable`, `:wrong_certificate`."
   @spec connect(Address.t(), keyword(), timeout()) :: {:ok, t()} | {:error, Error.t()}
   def connect(%Address{} = address, tls, timeout) do
     case connect_to(address, tls, timeout) do
@@ -117,33 +117,37 @@ defmodule Situ.Remote.Link.Socket do
   defp unreachable(address, reason) do
     Error.new(:unreachable, "cannot connect to #{Address.to_string(%{address | name: ""})}",
       why: reason_text(reason),
-      fix: "check that the server runs, its host and port, and TLS on both sides or on none"
+      fix:
+        "check that the server is running, its host and port, and use TLS on both sides or on neither"
     )
   end
 
-  # It does not become right by trying again. The alert is the server's own, or says what this side found.
+  # Trying again cannot help. The alert was sent by the server or describes a problem found on this side.
   defp untrusted(address, text, why) do
     where = Address.to_string(%{address | name: "", fingerprint: nil})
 
     cond do
       text =~ "SERVER ALERT" ->
-        Error.new(:wrong_certificate, "#{where} does not take this side's certificate",
+        Error.new(:wrong_certificate, "#{where} rejects this side's certificate",
           why: why,
-          fix: "give tls: [certfile: ..., keyfile: ...] as the server's owner wants them"
+          fix:
+            "give tls: [certfile: ..., keyfile: ...] with a certificate that the server accepts"
         )
 
       text =~ "hostname_check_failed" ->
-        Error.new(:wrong_certificate, "the certificate of #{where} is of another host",
+        Error.new(
+          :wrong_certificate,
+          "the certificate of #{where} was issued for a different host",
           why: "it does not name #{address.host}",
-          fix: "use a name that the certificate has, or have one made for this name"
+          fix: "use a name that the certificate contains, or issue a certificate for this name"
         )
 
       true ->
         Error.new(:wrong_certificate, "the certificate of #{where} is not trusted",
           why: why,
           fix:
-            "open the address that the server prints, with its fingerprint, or name who signed the certificate:" <>
-              " tls: [cacertfile: ...]"
+            "open the address that the server prints, which includes the fingerprint, or name the authority that" <>
+              " signed the certificate: tls: [cacertfile: ...]"
         )
     end
   end
@@ -161,13 +165,13 @@ defmodule Situ.Remote.Link.Socket do
   defp connect_at(:tcp, {ip, port}, _host, options, _tls, timeout),
     do: wrap(:gen_tcp, :gen_tcp.connect(ip, port, options, timeout))
 
-  # The certificate must name the host that was asked for, not what it resolved to.
+  # The certificate must name the requested host, not its resolved address.
   defp connect_at(:tls, {ip, port}, host, options, tls, timeout) do
     name = ServerName.tls_options(host)
     wrap(:ssl, :ssl.connect(ip, port, options ++ Keyword.merge(name, tls), timeout))
   end
 
-  # Unless somebody says otherwise a server is known by an authority of the system, or by its fingerprint alone.
+  # By default a server is verified by the system's certificate authorities or, if given, by its fingerprint alone.
   defp trusted(tls, %{fingerprint: digits}) when digits != nil,
     do: Keyword.merge([verify: :verify_none], tls)
 
@@ -181,11 +185,11 @@ defmodule Situ.Remote.Link.Socket do
   defp authorities do
     [verify: :verify_peer, cacerts: :public_key.cacerts_get()]
   rescue
-    # This system has none, so nobody is trusted.
+    # This system has no authorities, so no server is trusted.
     _ -> [verify: :verify_peer, cacerts: []]
   end
 
-  # The handshake has shown that the server has the key of its certificate.
+  # The handshake has proved that the server owns the key of its certificate.
   defp pinned(socket, %{fingerprint: nil}), do: {:ok, socket}
 
   defp pinned({:ssl, ssl} = socket, %{fingerprint: digits}) do
@@ -195,13 +199,17 @@ defmodule Situ.Remote.Link.Socket do
 
       other ->
         close(socket)
-        why = if other, do: "its fingerprint is #{other}", else: "it shows none"
+
+        why =
+          if other, do: "its fingerprint is #{other}", else: "the server presented no certificate"
 
         {:error,
-         Error.new(:wrong_certificate, "the server's certificate is not the expected one",
+         Error.new(
+           :wrong_certificate,
+           "the server's certificate does not match the expected fingerprint",
            why: why,
            fix:
-             "ask the server's owner for the address that it prints; otherwise somebody may intercept the link"
+             "ask the owner of the server for the address that it prints; otherwise the link may be intercepted"
          )}
     end
   end
@@ -227,7 +235,10 @@ defmodule Situ.Remote.Link.Socket do
   @spec receive(t(), timeout()) :: {:ok, binary()} | {:error, term()}
   def receive({module, socket}, timeout), do: module.recv(socket, 0, timeout)
 
-  @doc "The next frame as a message: `{:tcp | :ssl, socket, body}`. `most` bytes are the longest taken from now on."
+  @doc """
+  Delivers the next frame as a message, `{:tcp | :ssl, socket, body}`, and accepts frames of up to `most` bytes from now
+  on.
+  """
   @spec open_up(t(), pos_integer()) :: :ok | {:error, term()}
   def open_up(socket, most), do: setopts(socket, active: :once, packet_size: most)
 
@@ -240,7 +251,7 @@ defmodule Situ.Remote.Link.Socket do
   @spec give(t(), pid()) :: :ok | {:error, term()}
   def give({module, socket}, pid), do: module.controlling_process(socket, pid)
 
-  @doc "Sends what is still to be sent, and the end."
+  @doc "Sends the remaining data and closes the sending direction."
   @spec finish(t()) :: :ok
   def finish({module, socket}) do
     _ = module.shutdown(socket, :write)
@@ -260,7 +271,7 @@ defmodule Situ.Remote.Link.Socket do
   defp number({:ok, {ip, port}}) when is_tuple(ip), do: port
   defp number(_local), do: nil
 
-  @doc "The other side's address: an IP, or `:local`."
+  @doc "Returns the peer's address: an IP, or `:local` for Unix sockets."
   @spec peer(t()) :: {:ok, :inet.ip_address() | :local} | {:error, term()}
   def peer({:gen_tcp, socket}), do: ip(:inet.peername(socket))
   def peer({:ssl, socket}), do: ip(:ssl.peername(socket))
@@ -269,7 +280,7 @@ defmodule Situ.Remote.Link.Socket do
   defp ip({:ok, {ip, _port}}), do: {:ok, ip}
   defp ip(error), do: error
 
-  @doc "This side's address, where there is one."
+  @doc "Returns the local IP address, or `nil` if there is none."
   @spec local(t()) :: :inet.ip_address() | nil
   def local({:gen_tcp, socket}), do: local_ip(:inet.sockname(socket))
   def local({:ssl, socket}), do: local_ip(:ssl.sockname(socket))
@@ -277,12 +288,12 @@ defmodule Situ.Remote.Link.Socket do
   defp local_ip({:ok, {ip, port}}) when is_tuple(ip) and is_integer(port), do: ip
   defp local_ip(_none), do: nil
 
-  @doc "Why a connection failed, for people."
+  @doc "Describes for people why a connection failed."
   @spec reason_text(term()) :: String.t()
   def reason_text({:tls_alert, {_kind, text}}), do: String.trim(to_string(text))
   def reason_text({:options, what}), do: "TLS option #{inspect(what)}"
   def reason_text(:closed), do: "the other side closed the connection"
-  def reason_text(:timeout), do: "no answer in time"
+  def reason_text(:timeout), do: "the connection timed out"
   def reason_text(reason) when is_atom(reason), do: to_string(:inet.format_error(reason))
   def reason_text(reason), do: inspect(reason)
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Remote.Log.Entry do
   @moduledoc """
-  One entry of a log: `op` names the write (unique), `head` is short text that says what `data` holds, `seq` its place
-  on the subject (`nil` before it is written), `verified` whether somebody has checked who wrote it.
+  One entry of a log. `op` identifies the write (unique), `head` is short text that describes `data`, `seq` is its
+  position on the subject (`nil` before it is written), and `verified` says whether its author was checked.
 
       iex> entry = %Situ.Remote.Log.Entry{op: "a.1", head: %{"Last" => "17"}, data: "..."}
       iex> Situ.Remote.Log.Entry.integer(entry, "Last", 0)
@@ -10,7 +10,7 @@ defmodule Situ.Remote.Log.Entry do
       iex> Situ.Remote.Log.Entry.decode(bytes, 5)
       {:ok, %Situ.Remote.Log.Entry{op: "a.1", head: %{"Last" => "17"}, data: "...", seq: 5}}
       iex> Situ.Remote.Log.Entry.decode(binary_part(bytes, 0, 20), 5)
-      {:error, "its checksum does not fit: it was cut short or changed"}
+      {:error, "checksum mismatch: the entry was truncated or modified"}
   """
   @magic "SITULOG1"
 
@@ -25,7 +25,7 @@ defmodule Situ.Remote.Log.Entry do
           verified: boolean()
         }
 
-  @doc "A number of the head."
+  @doc "Returns an integer field of the head, or `default`."
   @spec integer(t() | nil, String.t(), default) :: integer() | default when default: term()
   def integer(nil, _key, default), do: default
 
@@ -37,7 +37,7 @@ defmodule Situ.Remote.Log.Entry do
     end
   end
 
-  @doc "As bytes: magic, CRC-32 of what follows, length of the head (32 bits), head, data."
+  @doc "Encodes an entry: magic, CRC-32 of the rest, length of the head (32 bits), head, data."
   @spec encode(t()) :: iodata()
   def encode(%__MODULE__{op: op, head: head, data: data}) do
     head =
@@ -47,7 +47,7 @@ defmodule Situ.Remote.Log.Entry do
     [@magic, <<:erlang.crc32(rest)::32>>, rest]
   end
 
-  @doc "The entry in `bytes`, the `seq`th of its subject."
+  @doc "Decodes the entry with number `seq` on its subject."
   @spec decode(binary(), pos_integer()) :: {:ok, t()} | {:error, String.t()}
   def decode(<<@magic, crc::32, rest::binary>>, seq) do
     with true <- :erlang.crc32(rest) == crc,
@@ -55,11 +55,11 @@ defmodule Situ.Remote.Log.Entry do
       {op, head} = head |> lines() |> Map.pop("Op", "")
       {:ok, %__MODULE__{seq: seq, op: op, head: head, data: data}}
     else
-      _ -> {:error, "its checksum does not fit: it was cut short or changed"}
+      _ -> {:error, "checksum mismatch: the entry was truncated or modified"}
     end
   end
 
-  def decode(_bytes, _seq), do: {:error, "it is no entry of a log"}
+  def decode(_bytes, _seq), do: {:error, "the file is not a log entry"}
 
   defp lines(head) do
     for line <- String.split(head, "\n", trim: true),

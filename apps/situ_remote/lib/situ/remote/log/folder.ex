@@ -1,22 +1,23 @@
 defmodule Situ.Remote.Log.Folder do
   @moduledoc """
-  The log of one machine: a folder, no server. Any number of OS processes write to it; each may be killed at any time.
+  The log of one machine: a folder, without a server. Any number of OS processes may write to it, and each may be killed
+  at any time.
 
-  An entry is a file whose name is its number. It is written beside and then linked under that name, which fails when
-  the name is taken: the file system itself compares and sets. A linked entry survives a kill of the process; with
-  `sync: true` also a power cut.
+  An entry is a file named by its number. The file is written under a temporary name and then hard-linked to its final
+  name. The link fails if that name exists, so the file system itself provides the compare-and-set. A linked entry
+  survives a kill of the process and, with `sync: true`, also a power failure.
 
       root/streams/<subject>/<thousand>/<number>
-      root/keys/<subject>/<number>                 the last two
-      root/tmp/                                    what is being written
+      root/keys/<subject>/<number>                 the last two entries
+      root/tmp/                                    entries being written
 
-  A subject whose name is too long for a file system is a folder `h-SHA256`, with the name in the file `name`.
+  A subject whose name is too long for a file name has the folder `h-SHA256`, with the name in its file `name`.
 
-  A network file system does not do this reliably: for several machines use NATS.
+  Network file systems do not support this reliably. Use NATS for several machines.
 
   ## Options
 
-    * `:sync` (a boolean, default `false`) - wait until each entry is on the disk.
+    * `:sync` (a boolean, default `false`) - wait until each entry was written to the disk.
   """
   @behaviour Situ.Remote.Log
 
@@ -25,7 +26,7 @@ defmodule Situ.Remote.Log.Folder do
 
   @schema [sync: [type: :boolean, default: false]]
   @bucket 1_000
-  # Nothing forbids more; one entry is read and written in one piece.
+  # Larger entries would work, but each entry is read and written as a whole.
   @limit 64 * 1024 * 1024
 
   @enforce_keys [:root, :sync]
@@ -47,8 +48,8 @@ defmodule Situ.Remote.Log.Folder do
 
   defp made({:error, reason}, root) do
     {:error,
-     Error.new(:no_log, "no log in #{inspect(root)}: #{:file.format_error(reason)}",
-       fix: "choose a folder that can be written to"
+     Error.new(:no_log, "cannot create a log in #{inspect(root)}: #{:file.format_error(reason)}",
+       fix: "choose a folder that you can write to"
      )}
   end
 
@@ -68,7 +69,7 @@ defmodule Situ.Remote.Log.Folder do
     end
   end
 
-  # The name may have been free because what had it was deleted long ago: then the one before is gone as well.
+  # The name may be free because its entry was deleted long ago. In that case the previous entry was deleted, too.
   defp linked(log, subject, expected, target) do
     if expected == 0 or File.exists?(path(log, subject, expected)) do
       if expected == 0 and numbers(log, subject) != [1],
@@ -106,7 +107,7 @@ defmodule Situ.Remote.Log.Folder do
         {:ok, nil}
 
       seqs ->
-        # It may be deleted between the two looks: then there is a later one.
+        # The entry may be deleted after it was listed. In that case a later entry exists.
         with {:ok, nil} <- fetch(log, subject, Enum.max(seqs)), do: last(log, subject)
     end
   end
@@ -152,7 +153,7 @@ defmodule Situ.Remote.Log.Folder do
   def trim(%__MODULE__{} = log, subject, seq) do
     first = first(log, subject)
     last = Enum.max(numbers(log, subject), fn -> 0 end)
-    # In order: if an entry is gone, all before it are.
+    # Entries are deleted in order: if an entry does not exist, no earlier one does.
     if first, do: for(n <- first..(min(seq, last) - 1)//1, do: File.rm(path(log, subject, n)))
     :ok
   end
@@ -187,7 +188,7 @@ defmodule Situ.Remote.Log.Folder do
     end
   end
 
-  # Of a key only the last entry counts.
+  # Only the last entry of a key counts.
   defp about(log, {kind, _} = subject) do
     files = if kind == :key, do: subject |> newest(log) |> List.wrap(), else: files(log, subject)
     stats = for file <- files, {:ok, stat} <- [File.stat(file, time: :posix)], do: stat
@@ -236,7 +237,7 @@ defmodule Situ.Remote.Log.Folder do
 
         case Entry.decode(bytes, seq) do
           {:ok, entry} -> {:ok, entry}
-          {:error, why} -> {:error, Error.new(:damaged, "#{path} cannot be read: #{why}")}
+          {:error, why} -> {:error, Error.new(:damaged, "cannot read #{path}: #{why}")}
         end
 
       {:error, reason} when reason in [:enoent, :enotdir] ->
@@ -275,7 +276,7 @@ defmodule Situ.Remote.Log.Folder do
          do: :file.make_link(tmp, target)
   end
 
-  # A folder whose name is a hash says whose it is.
+  # A folder named by a hash stores the name of its subject in a file.
   defp named({kind, subject}, target) do
     up = if kind == :key, do: 1, else: 2
     folder = Enum.reduce(1..up, target, fn _, path -> Path.dirname(path) end)
@@ -287,14 +288,14 @@ defmodule Situ.Remote.Log.Folder do
 
   defp failed(path, reason) do
     Error.new(:log_failed, "#{path}: #{:file.format_error(reason)}",
-      why: "the log of this machine is a folder that all its processes write to",
-      fix: "make room on the disk, or give them the rights"
+      why: "the log is a folder that all processes of this machine write to",
+      fix: "free disk space, or give the processes write permission"
     )
   end
 
   defp numbers(log, {:key, _} = subject), do: integers(folder(log, subject))
 
-  # Those of the last thousand: the last one is among them.
+  # Lists only the newest nonempty bucket, which contains the last entry.
   defp numbers(log, subject) do
     folder = folder(log, subject)
 
@@ -337,7 +338,7 @@ defmodule Situ.Remote.Log.Folder do
   defp folder(log, {:stream, subject}), do: Path.join([log.root, "streams", name(subject)])
   defp folder(log, {:key, subject}), do: Path.join([log.root, "keys", name(subject)])
 
-  # No subject is a path, and no file's name has more than 255 bytes.
+  # Subjects are escaped so that they cannot act as paths, and file names are limited to 255 bytes.
   defp name(subject) do
     case URI.encode(subject, &(URI.char_unreserved?(&1) and &1 != ?~)) do
       name when byte_size(name) <= 240 -> "s-" <> name

@@ -1,19 +1,19 @@
 defmodule Situ.Remote.Log.Nats do
   @moduledoc """
-  The log of several machines and sites: NATS JetStream (a `nats-server -js` of 2.9 or newer, one or a cluster).
+  The log of several machines and sites: NATS JetStream (a `nats-server -js`, version 2.9 or newer, or a cluster).
 
       {:ok, log} = Situ.Remote.Log.connect("nats://10.0.0.1:4222,10.0.0.2:4222", replicas: 3)
 
-  Each stream has a JetStream stream of its own, made by its first entry: `SITU_S_NAME` (subject `situ.s.NAME`; what is
-  no letter or digit in a name is written `=HEX`, a name of more than 200 characters as its SHA-256). The keys are one,
-  `SITU_KEYS` (`situ.k.NAME`, the last two messages of each). The condition of a write is
-  `Nats-Expected-Last-Sequence`, for keys `Nats-Expected-Last-Subject-Sequence`; the header `Situ-Op` is its name. A
-  server that is lost is looked for again, in the list and in turn; meanwhile everything answers
-  `{:error, %Situ.Error{code: :log_away}}`, and may be tried again as it is.
+  Each stream has its own JetStream stream, which its first entry creates: `SITU_S_NAME` (subject `situ.s.NAME`).
+  Characters of a name other than letters and digits are written as `=HEX`, and a name of more than 200 characters as
+  its SHA-256. All keys share one JetStream stream, `SITU_KEYS` (`situ.k.NAME`, the last two messages of each). A write
+  is conditional on `Nats-Expected-Last-Sequence` or, for keys, `Nats-Expected-Last-Subject-Sequence`. The header
+  `Situ-Op` identifies the write. If the server is lost, the connection tries the servers of the list in turn. Until it
+  is connected again, all calls return `{:error, %Situ.Error{code: :log_away}}`, and callers may repeat them unchanged.
 
-  The address may hold `user:password@` or `token@`; better is a file (`credentials:`). A stream costs its server two
-  open files and about 80 KB of memory (ADR 0118): raise the server's limit of open files (`LimitNOFILE`) before you log
-  some thousands.
+  The address may contain `user:password@` or `token@`, but a file (`credentials:`) is safer. A stream costs its server
+  two open files and about 80 KB of memory (ADR 0118). Raise the server's limit of open files (`LimitNOFILE`) before you
+  log several thousand streams.
 
   ## Options
 
@@ -25,42 +25,47 @@ defmodule Situ.Remote.Log.Nats do
   alias Situ.Remote.Log.Nats.{Api, Connection, Kept, Layout, Servers}
 
   @schema [
-    replicas: [type: {:range, 1, 5}, default: 1, doc: "On how many servers each entry is."],
+    replicas: [
+      type: {:range, 1, 5},
+      default: 1,
+      doc: "The number of servers that store each entry."
+    ],
     stream: [
       type: :string,
       default: "SITU",
-      doc: "The JetStream streams' names begin with it."
+      doc: "The prefix of the names of the JetStream streams."
     ],
     max_bytes: [
       type: :pos_integer,
-      doc: "Retention, of each stream: the oldest entries go beyond that ..."
+      doc: "Retention limit of each stream in bytes: the oldest entries are deleted beyond it ..."
     ],
-    max_age: [type: :pos_integer, doc: "... or when they are older, ns."],
+    max_age: [type: :pos_integer, doc: "... or when they are older than this, ns."],
     when_full: [
       type: {:in, [:drop_oldest, :refuse]},
       default: :drop_oldest,
-      doc: "With `max_bytes`: `:refuse` answers an error (`:log_full`) instead."
+      doc:
+        "With `max_bytes`: `:refuse` returns an error (`:log_full`) instead of deleting entries."
     ],
     domain: [
       type: {:optional, :string},
       doc:
-        "The JetStream domain that keeps the log: a hub's, for a program at the server of a site that calls" <>
-          " the hub by a leaf link. Without it the server connected to keeps it."
+        "The JetStream domain that stores the log, such as that of a hub that the server reaches over a leaf link." <>
+          " By default the connected server stores it."
     ],
     tls: [
       type: {:optional, :keyword},
-      doc: "Options of `:ssl`: TLS is used, and the server's name checked."
+      doc: "Options of `:ssl`. If given, TLS is used and the name of the server is verified."
     ],
     credentials: [
       type: {:optional, :string},
       doc:
-        "A file whose first line is `user:password` or a token: the list of processes does not show it."
+        "A file whose first line is `user:password` or a token. Unlike an address, it does not appear in process lists."
     ],
-    timeout: [type: :pos_integer, default: 2_000, doc: "Ms to wait for an answer."],
+    timeout: [type: :pos_integer, default: 2_000, doc: "How long to wait for a reply, ms."],
     wait: [
       type: :boolean,
       default: false,
-      doc: "Wait for a server that is not running yet, instead of an error."
+      doc: "Wait for a server that is not running yet, instead of returning an error."
     ]
   ]
   @moduledoc @moduledoc <> Options.docs(@schema)
@@ -69,8 +74,8 @@ defmodule Situ.Remote.Log.Nats do
   defstruct @enforce_keys
 
   @typedoc """
-  `api` and `stream` begin the names of JetStream's subjects and of its streams; streams are made with `config`.
-  `prepared` is 1 when the server's streams were prepared.
+  `api` and `stream` are the prefixes of the JetStream API subjects and of the stream names. Streams are created with
+  `config`. `prepared` is 1 after the server's streams were prepared.
   """
   @type t :: %__MODULE__{
           connection: pid(),
@@ -81,7 +86,7 @@ defmodule Situ.Remote.Log.Nats do
           prepared: :atomics.atomics_ref()
         }
 
-  # Headers of an entry, and what the server adds.
+  # Space for the headers of an entry and for those added by the server.
   @reserve 8_192
 
   @impl true
@@ -115,7 +120,7 @@ defmodule Situ.Remote.Log.Nats do
   defp allow_away({:error, %Error{code: :log_away}}, true), do: :ok
   defp allow_away(answer, _wait?), do: answer
 
-  # The server's streams are prepared once, as soon as it answers.
+  # The streams of the server are prepared once, at the first successful call.
   defp prepare_once(%__MODULE__{prepared: prepared} = log) do
     if :atomics.get(prepared, 1) == 1 do
       :ok
@@ -133,7 +138,7 @@ defmodule Situ.Remote.Log.Nats do
         {:error, error}
 
       {:error, reason} ->
-        {:error, Error.new(:log_away, "no connection: #{inspect(reason, limit: 5)}")}
+        {:error, Error.new(:log_away, "cannot connect to NATS: #{inspect(reason, limit: 5)}")}
     end
   end
 
@@ -146,7 +151,7 @@ defmodule Situ.Remote.Log.Nats do
     end
   end
 
-  # Nobody answers for a stream that has no entry yet, nor while the servers have no leader.
+  # No server replies for a stream without entries, nor during a leader election.
   defp publish(log, {:stream, _} = subject, expected, entry) do
     with :silent <- published(log, subject, expected, entry),
          stream = stream(log, subject),
@@ -155,7 +160,7 @@ defmodule Situ.Remote.Log.Nats do
          :ok <- Api.made(log, Map.merge(log.config, config)) do
       log |> published(subject, expected, entry) |> Api.heard()
     else
-      # It is there, and nobody leads it for the moment.
+      # The stream exists, but currently has no leader.
       {:ok, %{"config" => _}} -> Api.heard(:silent)
       answer -> answer
     end
@@ -164,7 +169,7 @@ defmodule Situ.Remote.Log.Nats do
   defp publish(log, subject, expected, entry),
     do: log |> published(subject, expected, entry) |> Api.heard()
 
-  # One that had entries is there, most likely: who waits long for servers that elect a leader misses their answer.
+  # A stream that had entries most likely still exists. Waiting too long during a leader election would lose the reply.
   defp soon(log, 0), do: log.timeout
   defp soon(log, _expected), do: max(div(log.timeout, 8), 1)
 
@@ -179,7 +184,7 @@ defmodule Situ.Remote.Log.Nats do
   defp condition({:stream, _}), do: "Nats-Expected-Last-Sequence"
   defp condition({:key, _}), do: "Nats-Expected-Last-Subject-Sequence"
 
-  # Somebody else, or ourselves: then only the acknowledgement was lost.
+  # Another writer was faster, or this is a repetition of a write whose acknowledgement was lost.
   defp appended(%{"error" => %{"err_code" => 10_071}}, log, subject, expected, %{op: op}) do
     case last(log, subject) do
       {:ok, %Entry{op: ^op, seq: seq}} -> {:ok, seq}
@@ -195,9 +200,9 @@ defmodule Situ.Remote.Log.Nats do
   defp appended(%{"seq" => seq}, _log, _subject, _expected, _entry) when seq > 0, do: {:ok, seq}
 
   defp appended(_answer, _log, _subject, _expected, _entry),
-    do: {:error, Api.away("an answer that says nothing")}
+    do: {:error, Api.away("the reply is incomplete")}
 
-  # All its entries were too old to be kept: the stream is empty, but its numbers continue.
+  # All its entries have expired, so the stream is empty, but its numbers continue.
   defp find_last_number(log, subject) do
     with {:ok, %{"state" => %{"last_seq" => seq}}} when seq > 0 <-
            Api.info(log, stream(log, subject)) do
@@ -217,13 +222,13 @@ defmodule Situ.Remote.Log.Nats do
         {:error,
          Error.new(
            :too_large,
-           "an entry of #{size} bytes; the server takes #{limit(log)} at most",
-           why: "a larger one would make it close the connection",
-           fix: "raise max_payload in the server's configuration, or write less at once"
+           "the entry has #{size} bytes, but the server accepts at most #{limit(log)}",
+           why: "the server closes the connection if a message is too large",
+           fix: "raise max_payload in the server's configuration, or write smaller entries"
          )}
   end
 
-  # Asked of the stream's leader: a replica may not have it yet.
+  # Asks the leader of the stream, because a replica may not have the entry yet.
   @impl true
   def last(%__MODULE__{} = log, subject),
     do: get(log, subject, %{"last_by_subj" => name(subject)})
@@ -244,7 +249,7 @@ defmodule Situ.Remote.Log.Nats do
   defp message(%{"message" => message}), do: decoded(message)
   defp message(%{"error" => %{"err_code" => code}}) when code in [10_037, 10_059], do: {:ok, nil}
   defp message(%{"error" => error}), do: {:error, Api.refusal(error)}
-  defp message(_other), do: {:error, Api.away("an answer that says nothing")}
+  defp message(_other), do: {:error, Api.away("the reply is incomplete")}
 
   defp decoded(message) do
     with {:ok, head} <- Base.decode64(message["hdrs"] || ""),
@@ -257,7 +262,7 @@ defmodule Situ.Remote.Log.Nats do
 
       {:ok, entry(headers, data, message["seq"])}
     else
-      _ -> {:error, Api.away("an answer that is no Base64")}
+      _ -> {:error, Api.away("the reply is not valid Base64")}
     end
   end
 
@@ -269,7 +274,7 @@ defmodule Situ.Remote.Log.Nats do
 
   @impl true
   def read(%__MODULE__{} = log, {:stream, _} = subject, 1, most) do
-    # Direct reads of a stream that is not there are not answered at all.
+    # The server does not reply to direct reads of a stream that does not exist.
     case Api.info(log, stream(log, subject)) do
       {:ok, _info} -> read(log, subject, 1, most, [])
       {:error, %Error{code: :no_stream}} -> {:ok, []}
@@ -290,14 +295,14 @@ defmodule Situ.Remote.Log.Nats do
         {:ok, Enum.reverse(entries)}
 
       {:ok, %{status: "503"}} ->
-        {:error, Api.away("no JetStream answers")}
+        {:error, Api.away("JetStream is not responding")}
 
       {:ok, %{headers: %{"Nats-Sequence" => seq} = headers, data: data}} ->
         entry = entry(headers, data, String.to_integer(seq))
         read(log, subject, entry.seq + 1, most - 1, [entry | entries])
 
       {:ok, _other} ->
-        {:error, Api.away("an answer that says nothing")}
+        {:error, Api.away("the reply is incomplete")}
 
       {:error, reason} ->
         {:error, Api.away(reason)}
@@ -312,7 +317,7 @@ defmodule Situ.Remote.Log.Nats do
       case Api.ask(log, log.api <> "STREAM.PURGE." <> stream(log, subject), body) do
         {:ok, %{"success" => true}} -> :ok
         {:ok, %{"error" => error}} -> {:error, Api.refusal(error)}
-        {:ok, _} -> {:error, Api.away("an answer that says nothing")}
+        {:ok, _} -> {:error, Api.away("the reply is incomplete")}
         {:error, error} -> {:error, error}
       end
     else
@@ -350,11 +355,11 @@ defmodule Situ.Remote.Log.Nats do
   defp stream(log, {:stream, name}), do: log.stream <> "_S_" <> short(token(name))
   defp stream(log, {:key, _}), do: log.stream <> "_KEYS"
 
-  # One token each: whatever a name holds, it is no part of the subject's structure.
+  # A name becomes a single token, so that its characters cannot change the structure of the subject.
   defp name({:stream, name}), do: "situ.s." <> token(name)
   defp name({:key, name}), do: "situ.k." <> token(name)
 
-  # A JetStream stream's name is a folder's, and has 255 characters at most.
+  # The name of a JetStream stream is also a folder name, limited to 255 characters.
   defp short(token) when byte_size(token) <= 200, do: String.replace(token, "%", "=")
   defp short(token), do: Base.encode16(:crypto.hash(:sha256, token), case: :lower)
 

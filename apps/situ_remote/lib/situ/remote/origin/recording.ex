@@ -1,9 +1,9 @@
 defmodule Situ.Remote.Origin.Recording do
   @moduledoc false
-  # A recording, finished or being written, as an origin. `{:series, root, name}` goes on from each version
-  # (`name.0000`, `name.0001` ...) to the next, so neither a new start of whoever records nor a recording in pieces
-  # leaves anything out; `{:live, root, name}` is the same of live streams, whose pieces are one recording: they start
-  # in the oldest piece that is kept. `{:store, store}` is one opened recording and ends with it.
+  # A finished or growing recording as an origin. `{:series, root, name}` continues from each version (`name.0000`,
+  # `name.0001` ...) to the next, so nothing is skipped when the recording program restarts or splits its recording into
+  # segments. `{:live, root, name}` is the same for live streams, whose segments form one recording; these begin in the
+  # oldest segment kept. `{:store, store}` is a single opened recording and ends with it.
   @behaviour Situ.Remote.Origin
   alias Situ.Error
   alias Situ.Remote.Link.Batch
@@ -11,12 +11,12 @@ defmodule Situ.Remote.Origin.Recording do
   alias Situ.Store.{Handle, Local, Reading, StreamInfo, TypeName}
 
   @messages 512
-  # Before everything, and far enough from where integers of 64 bits end.
+  # Earlier than all times, but far from the limits of 64-bit integers.
   @before_all -0x4000000000000000
 
   defstruct [:series, :store, pieces?: false, version: 0, known: 0, awaiting: :no, catalog: -1]
 
-  @doc "The originating time before all others."
+  @doc "Returns an originating time that is earlier than all others."
   @spec before_all() :: Situ.Time.t()
   def before_all, do: @before_all
 
@@ -74,7 +74,8 @@ defmodule Situ.Remote.Origin.Recording do
   @impl true
   def store(%{store: nil, series: {_, name}}, _version),
     do:
-      {:error, Error.new(:no_store, "there is no recording #{name} yet", fix: "try again later")}
+      {:error,
+       Error.new(:no_store, "the recording #{name} does not exist yet", fix: "try again later")}
 
   def store(%{series: nil, store: store}, _version), do: {:ok, store}
   def store(%{version: version, store: store}, version), do: {:ok, store}
@@ -88,9 +89,9 @@ defmodule Situ.Remote.Origin.Recording do
   end
 
   def store(_state, version),
-    do: {:error, Error.new(:bad_request, "not a version: #{inspect(version, limit: 5)}")}
+    do: {:error, Error.new(:bad_request, "invalid version: #{inspect(version, limit: 5)}")}
 
-  # A new stream, or the end of one, is a record of stream 0.
+  # Stream 0 has a record for each new stream and for each end of a stream.
   defp records(%{module: Local} = store), do: Reading.count(store, %StreamInfo{id: 0, name: ""})
   defp records(_foreign), do: 0
 
@@ -133,7 +134,7 @@ defmodule Situ.Remote.Origin.Recording do
   defp place(state, info, ordinal),
     do: %{version: state.version, store: state.store, info: info, ordinal: ordinal, last: nil}
 
-  # Of the newest version that has any.
+  # Uses the newest version in which the stream has messages.
   defp last(%{series: nil} = state, name), do: last_of(Reading.stream_info(state.store, name))
 
   defp last(%{series: {root, name}}, stream) do
@@ -163,7 +164,7 @@ defmodule Situ.Remote.Origin.Recording do
     end
   end
 
-  # At the end of what there is: the next version goes on, or it is the end of the stream, or more will come.
+  # The cursor is at the end of its version: a later version continues the stream, it has ended, or more will arrive.
   defp behind(%{series: nil} = state, cursor), do: ended(state, cursor, current(cursor))
 
   defp behind(%{series: {root, name}} = state, cursor) do
@@ -186,7 +187,7 @@ defmodule Situ.Remote.Origin.Recording do
     end
   end
 
-  # A recording that a killed writer left open may continue in a next version.
+  # If a killed writer left a recording open, a later version may continue it.
   defp ended(state, cursor, info) do
     newest? = cursor.version == state.version
     whole? = cursor.ordinal >= info.count
@@ -216,8 +217,8 @@ defmodule Situ.Remote.Origin.Recording do
 
   defp forward(cursor, _to), do: {0, cursor}
 
-  # The tag names the version of a notice: a late one about an older version is ignored. A version that has ended is
-  # complete: no notice about it is awaited.
+  # The tag contains the version, so that a late notice about an older version is ignored. A version that has ended is
+  # complete, and no notice about it is awaited.
   @impl true
   def await(%{awaiting: :no, store: store} = state) when store != nil do
     Reading.notify(store, state.known, state.version)
@@ -235,7 +236,7 @@ defmodule Situ.Remote.Origin.Recording do
 
   def news(_state, _other), do: :other
 
-  # The recording program may have started a new version: only the folder shows it.
+  # Only the folder shows that the recording program has started a new version.
   @impl true
   def look(%{series: nil} = state), do: {state.awaiting == :no, state}
 

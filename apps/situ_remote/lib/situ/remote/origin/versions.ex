@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Origin.Versions do
   @moduledoc false
-  # The versions of a recording in one folder, `name.0000` and on, as one row.
+  # The versions of a recording in one folder (`name.0000` and later), treated as one sequence.
   alias Situ.Store.{Folder, Handle, Reading, StreamInfo}
 
   @type found :: {non_neg_integer(), Handle.t(), StreamInfo.t()}
@@ -10,12 +10,12 @@ defmodule Situ.Remote.Origin.Versions do
     with path when path != nil <- Folder.newest(name, root), do: {Folder.version(path), path}
   end
 
-  @doc "One version, if it is there."
+  @doc "Returns the path of a version, or `nil` if it does not exist."
   @spec path(Path.t(), String.t(), non_neg_integer()) :: Path.t() | nil
   def path(root, name, version),
     do: Enum.find_value(paths(root, name), fn {v, path} -> v == version && path end)
 
-  @doc "The newest version whose `stream` begins at or before `time`, or else the oldest that has the stream."
+  @doc "Finds the newest version whose `stream` begins at or before `time`, or else the oldest that has the stream."
   @spec holding(Path.t(), String.t(), String.t(), Situ.Time.t()) :: found() | nil
   def holding(root, name, stream, time) do
     root
@@ -25,14 +25,14 @@ defmodule Situ.Remote.Origin.Versions do
     end)
   end
 
-  @doc "The newest version in which `stream` has messages."
+  @doc "Finds the newest version in which `stream` has messages."
   @spec with_messages(Path.t(), String.t(), String.t()) :: found() | nil
   def with_messages(root, name, stream),
     do: root |> having(name, stream, :desc) |> Enum.find(fn {_, _, info} -> info.count > 0 end)
 
   @doc """
-  Where the stream of a cursor that has read all of its version goes on. A version that is still written, as the pieces
-  of a recording are, is left only once the stream has begun in a later one.
+  Finds the version that continues the stream of a cursor which has read all of its version. A version still being
+  written, such as a segment of a recording, is left only when the stream has begun in a later one.
   """
   @spec next(Path.t(), String.t(), map()) :: found() | nil
   def next(root, name, %{version: version, store: store, info: %{name: stream}}) do
@@ -53,7 +53,7 @@ defmodule Situ.Remote.Origin.Versions do
            {:ok, info} <- Reading.stream_info(store, stream) do
         [{version, store, info}]
       else
-        # Gone, or not made yet.
+        # The version was deleted or has not been created yet.
         {:error, _} -> []
       end
     end)

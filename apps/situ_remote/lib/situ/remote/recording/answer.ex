@@ -1,6 +1,7 @@
 defmodule Situ.Remote.Recording.Answer do
   @moduledoc false
-  # Bodies of answers, read without trust: terms by the checked decoder of stores, and every form is looked at. Pure.
+  # Decodes reply bodies without trusting them: terms go through the checked decoder of stores, and the form of every
+  # reply is validated. Pure.
   alias Situ.Message
   alias Situ.Remote.Link.Batch
   alias Situ.Store.{StreamInfo, Terms, TypeName}

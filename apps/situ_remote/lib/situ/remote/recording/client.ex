@@ -1,8 +1,7 @@
 defmodule Situ.Remote.Recording.Client do
   @moduledoc false
-  # One process for each server that somebody reads recordings of: questions and their answers over one connection. It
-  # starts when first asked and ends after a while without a question, so that an open recording leaves nothing to be
-  # closed.
+  # One process per server whose recordings are being read. It sends requests and receives replies over one connection.
+  # It starts at the first request and ends after a period without requests, so an open recording needs no closing.
   use GenServer, restart: :temporary
   alias Situ.{Error, JSON}
   alias Situ.Remote.{Access, Address}
@@ -14,10 +13,11 @@ defmodule Situ.Remote.Recording.Client do
   @idle_ms 60_000
   @answer_ms 60_000
   @again_ms 1_000
-  # The longest answer: one message, or some megabytes of them.
+  # The longest reply: one message, or several megabytes of messages.
   @most_answer 1024 * 1024 * 1024 + 65_536
 
-  # Under way: id to `{:call, from}` or `{:await, asked, {pid, tag}}`; `parts`: pieces of answers that are not whole.
+  # `under_way` maps ids to `{:call, from}` or `{:await, asked, {pid, tag}}`. `parts` holds the parts of incomplete
+  # replies.
   defstruct [
     :address,
     :access,
@@ -37,11 +37,11 @@ defmodule Situ.Remote.Recording.Client do
     ]
   end
 
-  @doc "The body of an answer. Errors: the server's own, `:unreachable`, `:link_lost`, `:wrong_token` ..."
+  @doc "Sends a request and returns the body of the reply. Errors: the server's own, `:unreachable`, `:link_lost` ..."
   @spec ask(Address.t(), Access.t(), map()) :: {:ok, binary()} | {:error, Error.t()}
   def ask(address, access, asked), do: call(address, access, {:ask, asked})
 
-  @doc "`pid` gets `{:situ_store, tag, news}` once, however long it takes and whatever happens to the link."
+  @doc "Sends `{:situ_store, tag, news}` to `pid` once there is news. It survives the loss of the link."
   @spec await(Address.t(), Access.t(), map(), {pid(), non_neg_integer()}) :: :ok
   def await(address, access, asked, to) do
     {:ok, pid} = find(address, access)
@@ -52,7 +52,7 @@ defmodule Situ.Remote.Recording.Client do
     {:ok, pid} = find(address, access)
     GenServer.call(pid, question, :infinity)
   catch
-    # It was just about to end.
+    # The process was ending because it was idle, so the call starts a new one.
     :exit, {reason, _} when reason in [:normal, :noproc] and tries > 1 ->
       call(address, access, question, tries - 1)
   end
@@ -91,7 +91,7 @@ defmodule Situ.Remote.Recording.Client do
     {:noreply, begin(state, {:await, asked, to})}
   end
 
-  # Sends it, or dials first.
+  # Sends the request if there is a connection. Otherwise it is queued, and the connection is opened first.
   defp begin(%{socket: nil} = state, question),
     do: dial(%{state | queued: [question | state.queued]})
 
@@ -141,7 +141,7 @@ defmodule Situ.Remote.Recording.Client do
     case Frame.decode(body) do
       {:ok, {:reply, id, piece}} -> rest(piece(state, id, piece))
       {:ok, {:refused, map}} -> failed(state, map |> Handshake.from_map() |> Exception.message())
-      # The catalogue comes by itself.
+      # The server also sends the catalogue, which is not needed here.
       {:ok, _other} -> rest(state)
       {:error, why} -> failed(state, why)
     end
@@ -155,11 +155,11 @@ defmodule Situ.Remote.Recording.Client do
       when kind in [:tcp_error, :ssl_error],
       do: failed(state, Socket.reason_text(reason))
 
-  # News may take as long as it likes.
+  # Only calls time out. A request that awaits news may take any time.
   def handle_info({:late, id}, state) do
     case state.under_way do
       %{^id => {{:call, _, _}, _}} ->
-        failed(state, "no answer within #{div(@answer_ms, 1_000)} s")
+        failed(state, "no reply within #{div(@answer_ms, 1_000)} s")
 
       _ ->
         rest(state)
@@ -178,7 +178,7 @@ defmodule Situ.Remote.Recording.Client do
 
   def handle_info(_other, state), do: rest(state)
 
-  # Nobody waits for anything: the time until it ends begins.
+  # When no request is pending, the idle timeout begins.
   defp rest(%{under_way: under_way, queued: [], dialer: nil} = state)
        when map_size(under_way) == 0,
        do: {:noreply, state, @idle_ms}
@@ -190,7 +190,7 @@ defmodule Situ.Remote.Recording.Client do
     size = size + byte_size(bytes)
 
     if size > @most_answer,
-      do: whole(state, id, {:error, Error.new(:bad_reply, "an answer of more than 1 GiB")}),
+      do: whole(state, id, {:error, Error.new(:bad_reply, "the reply is larger than 1 GiB")}),
       else: %{state | parts: Map.put(state.parts, id, {size, [parts, bytes]})}
   end
 
@@ -224,12 +224,12 @@ defmodule Situ.Remote.Recording.Client do
     with {:ok, body} <- result, {:ok, news} <- Answer.news(body) do
       send(pid, {:situ_store, tag, news})
     else
-      # The server does not have it any more.
+      # The server no longer has the recording.
       _ -> send(pid, {:situ_store, tag, {:ended, known}})
     end
   end
 
-  # A lost link ends nothing: who waits for news goes on waiting, all others hear why they have no answer.
+  # When the link is lost, requests that await news are kept and sent again. All other requests return an error.
   defp failed(state, why) do
     if state.socket, do: Socket.close(state.socket)
     where = Address.to_string(state.address)

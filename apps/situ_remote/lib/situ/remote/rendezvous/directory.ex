@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Rendezvous.Directory do
   @moduledoc """
-  Which processes there are, and whose each of them is. Pure.
+  The announced processes, each with the client that owns it. Pure.
 
       iex> alias Situ.Remote.Rendezvous.Directory
       iex> robot = %{name: "robot", version: "1", endpoints: []}
@@ -12,7 +12,7 @@ defmodule Situ.Remote.Rendezvous.Directory do
   """
   alias Situ.Remote.Rendezvous.Wire
 
-  # One client with many names, or long lists, neither fills the memory nor shuts others out.
+  # These limits keep a client with many names or long lists from filling the memory or locking out other clients.
   @most 1_000
   @most_each 100
   @most_bytes 16 * 1024 * 1024
@@ -27,14 +27,15 @@ defmodule Situ.Remote.Rendezvous.Directory do
   def processes(%__MODULE__{processes: processes}),
     do: for({_name, {_owner, process}} <- Enum.sort(processes), do: process)
 
-  @doc "The clients that have announced something."
+  @doc "Returns the clients that have announced at least one process."
   @spec owners(t()) :: MapSet.t()
   def owners(%__MODULE__{processes: processes}),
     do: MapSet.new(processes, fn {_name, {owner, _process}} -> owner end)
 
   @doc """
-  An update of a client's: what all others are to be told. A process added once more with other endpoints is told as
-  gone and there again, which every client understands; one of a name that is another client's is ignored.
+  Applies an update from a client and returns the updates to send to all others. A process that is added again with
+  different endpoints is sent as a removal and an addition, which every client understands. An update for a name that
+  belongs to another client is ignored.
   """
   @spec apply(t(), term(), Wire.update()) :: {[Wire.update()], t()}
   def apply(%__MODULE__{} = directory, owner, {:add, %{name: name} = process}) do
@@ -85,7 +86,7 @@ defmodule Situ.Remote.Rendezvous.Directory do
     %{directory | processes: processes, bytes: bytes}
   end
 
-  @doc "A client has gone, and its processes with it."
+  @doc "Removes a client that has left, with all its processes."
   @spec gone(t(), term()) :: {[Wire.update()], t()}
   def gone(%__MODULE__{processes: processes} = directory, owner) do
     names = for {name, {^owner, _}} <- processes, do: name
@@ -93,9 +94,9 @@ defmodule Situ.Remote.Rendezvous.Directory do
     {told, Enum.reduce(names, directory, &remove(&2, &1))}
   end
 
-  @doc "For people: of two processes with one name the first counts."
+  @doc "Describes for people that a name is taken: of two processes with the same name, the first counts."
   @spec taken(String.t()) :: String.t()
   def taken(name),
     do:
-      "another process is called #{inspect(name)}: the others see the one that came first; give each a name of its own"
+      "another process is already named #{inspect(name)}, and the others see only that one; give each a unique name"
 end

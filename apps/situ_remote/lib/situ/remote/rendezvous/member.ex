@@ -1,9 +1,11 @@
 defmodule Situ.Remote.Rendezvous.Member do
   @moduledoc false
-  # A process's place at a rendezvous: announces it, knows the others, and comes back when the server has been away.
+  # Takes part in a rendezvous for one process: announces it, tracks the others, and reconnects when the server was
+  # unreachable.
   #
-  # The server ignores a name that is another process's, and says so to nobody; but it tells every client of all
-  # processes, oneself included. Whose the own name is shows in the first entry of it: `name` is `:ours` or `:taken`.
+  # The server silently ignores a name that belongs to another process, but it sends the list of all processes,
+  # including this one, to every client. So the first entry with the own name shows who owns it: `name` is `:ours` or
+  # `:taken`.
   use GenServer
   require Logger
   alias Situ.Remote.Rendezvous.{Directory, Wire}
@@ -74,7 +76,7 @@ defmodule Situ.Remote.Rendezvous.Member do
 
   def handle_info({:greeted?, socket}, %{socket: socket, stage: stage} = state)
       when stage != :open,
-      do: {:noreply, again(state, "no greeting within 10 s: is it a rendezvous?")}
+      do: {:noreply, again(state, "no greeting within 10 s: is it a rendezvous server?")}
 
   def handle_info({kind, socket}, %{socket: socket} = state) when kind == :tcp_closed,
     do: {:noreply, again(state, "the server closed the connection")}
@@ -87,10 +89,12 @@ defmodule Situ.Remote.Rendezvous.Member do
   defp read(%{stage: :greeting, buffer: <<version::little-signed-16, rest::binary>>} = state) do
     if version == Wire.version(),
       do: read(%{state | stage: :listed, buffer: rest}),
-      else: again(state, "the server speaks version #{version}, here it is #{Wire.version()}")
+      else:
+        again(state, "the server uses protocol version #{version}, this client #{Wire.version()}")
   end
 
-  # The address that the server sees, and the processes that are there: of the last connection's nothing counts.
+  # Skips the address of this client as seen by the server, and the number of processes. Peers of the previous
+  # connection are discarded.
   defp read(%{stage: :listed, buffer: buffer} = state) do
     with {:ok, _address, rest} <- Wire.read_text(buffer),
          {:ok, _count, rest} <- Wire.read_int(rest) do
@@ -131,8 +135,8 @@ defmodule Situ.Remote.Rendezvous.Member do
     end
   end
 
-  # Another process's, or that of a connection that was lost: it is free now. One of our own that changes is announced
-  # once more, which the server ignores.
+  # The entry of another process, or of a lost connection, was removed, so the name is free. If it was this process
+  # changing its endpoints, the server ignores the second announcement.
   defp updated(%{own: %{name: name}} = state, {:remove, name}) do
     announce(state)
     %{state | name: nil}

@@ -1,10 +1,12 @@
 defmodule Situ.Remote.Rendezvous.Nats do
   @moduledoc false
-  # A process's place among others that find one another over NATS, without a server of ours. On `situ.peers` each says
-  # what it offers when it comes, when that changes and every `beat`, as the rendezvous protocol has it, and a question
-  # (its byte for a farewell) is answered by all at once. On `situ.peer.NAME` a process says where its link is.
+  # Lets processes find one another over NATS, without a server of Situ. On `situ.peers` each process publishes its
+  # endpoints when it joins, when they change and every `beat`, in the format of the rendezvous protocol. A newcomer
+  # publishes the byte for a farewell, to which all processes reply with theirs. On `situ.peer.NAME` a process replies
+  # with the address of its link.
   #
-  # The reply subject names the process that speaks: of two with one name the first counts, until it is gone. Both are
+  # The reply subject identifies the process that sent a message. If two have the same name, the first counts until it
+  # leaves. Both are notified; `rival` is when the other process was last heard.
   # told; `rival` is when the other was last heard.
   use GenServer
   require Logger
@@ -25,7 +27,7 @@ defmodule Situ.Remote.Rendezvous.Nats do
          do: GenServer.start_link(__MODULE__, opts)
   end
 
-  @doc "The address of the link that the process `name` offers; `nil`: there is none, or nobody can be asked."
+  @doc "Finds the address of the link that the process `name` offers. Returns `nil` if there is none, or no connection."
   @spec find(String.t(), String.t()) :: String.t() | nil
   def find(server, name) do
     with {:ok, servers, login} <- Servers.parse(server),
@@ -43,7 +45,7 @@ defmodule Situ.Remote.Rendezvous.Nats do
     end
   end
 
-  # One token, whatever a name holds.
+  # Escapes the name so that it is always a single token.
   defp subject(name),
     do: "situ.peer." <> URI.encode(name, &(&1 in ?a..?z or &1 in ?A..?Z or &1 in ?0..?9))
 
@@ -70,7 +72,7 @@ defmodule Situ.Remote.Rendezvous.Nats do
      %__MODULE__{own: own, listener: opts[:listener], beat: opts[:beat], start: start, id: id}}
   end
 
-  # Beside: an address that does not answer takes seconds.
+  # Connects in a separate process, because an unresponsive address takes seconds.
   defp connect(opts) do
     me = self()
 
@@ -114,7 +116,7 @@ defmodule Situ.Remote.Rendezvous.Nats do
     {:noreply, state}
   end
 
-  # The connection was lost and is there again.
+  # The connection was lost and has been restored.
   def handle_info({:nats, connection, :up}, %{connection: connection} = state),
     do: {:noreply, here(state)}
 

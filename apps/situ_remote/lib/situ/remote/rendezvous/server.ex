@@ -1,20 +1,21 @@
 defmodule Situ.Remote.Rendezvous.Server do
   @moduledoc false
-  # Where processes find one another. All clients in one process: each has little to say. A client that has gone takes
-  # its processes along; one that does not read is let go.
+  # The server at which processes find one another. One process handles all clients, since each sends little. When a
+  # client leaves, its processes are removed. A client that does not read is disconnected.
   #
-  # No client has to prove who it is, so none may keep others out. A client must greet within some seconds, and complete
-  # each message as quickly. When there is no room, the oldest client that has announced nothing is disconnected.
+  # Clients are not authenticated, so none may keep others out. A client must send its greeting within some seconds, and
+  # complete each message as quickly. When the server is full, it disconnects the oldest client that has announced
+  # nothing.
   use GenServer
   alias Situ.Error
   alias Situ.Remote.Rendezvous.{Directory, Wire}
 
   @most_clients 1_000
-  # Of one update, and of all updates that are not complete yet.
+  # Limits for one update, and for all incomplete updates together.
   @most_bytes 1024 * 1024
   @most_pending 16 * 1024 * 1024
   @look_ms 1_000
-  # Linux: a host that is silent for 25 s is gone (TCP_KEEPIDLE, TCP_KEEPINTVL, TCP_KEEPCNT).
+  # Linux: a host is given up after 25 s of silence (TCP_KEEPIDLE, TCP_KEEPINTVL, TCP_KEEPCNT).
   @alive [
     {:raw, 6, 4, <<10::native-32>>},
     {:raw, 6, 5, <<5::native-32>>},
@@ -38,7 +39,7 @@ defmodule Situ.Remote.Rendezvous.Server do
     else
       {:error, :eaddrinuse} ->
         {:error,
-         Error.new(:address_in_use, "port #{opts[:port]} is in use", fix: "choose another")}
+         Error.new(:address_in_use, "port #{opts[:port]} is in use", fix: "choose another port")}
 
       {:error, reason} ->
         {:error,
@@ -67,8 +68,8 @@ defmodule Situ.Remote.Rendezvous.Server do
   def handle_call(:processes, _from, state),
     do: {:reply, Directory.processes(state.directory), state}
 
-  # Of a client: `stage` (:greeting or :open), `continue` (what reads its next bytes), `bytes` of the present update,
-  # `owes` (since when the rest is due; `nil`: nothing is due), and `came` (when it connected).
+  # A client has: `stage` (:greeting or :open), `continue` (the function that reads its next bytes), `bytes` of the
+  # current update, `owes` (since when the rest is due, or `nil`), and `came` (when it connected).
   @impl true
   def handle_info({:client, socket}, state) do
     state = make_room(state)
@@ -113,7 +114,7 @@ defmodule Situ.Remote.Rendezvous.Server do
     end
   end
 
-  # A client of another version gets our version, as it expects, and is disconnected.
+  # A client with a different version receives ours, as it expects, and is disconnected.
   defp read(state, socket, %{stage: :greeting} = client, bytes) do
     case (client.continue || "") <> bytes do
       <<version::little-signed-16, rest::binary>> -> greet(state, socket, {client, version}, rest)
@@ -190,7 +191,7 @@ defmodule Situ.Remote.Rendezvous.Server do
     state
   end
 
-  # To everybody, the one that said it included, as in the reference.
+  # Updates go to all clients, including the one that sent them, as in the reference implementation.
   defp tell(state, []), do: state
 
   defp tell(state, updates) do
@@ -219,7 +220,7 @@ defmodule Situ.Remote.Rendezvous.Server do
     :gen_tcp.close(state.listener)
   end
 
-  # Runs in a process of its own.
+  # Runs in a separate process.
   defp accept(listener, server) do
     case :gen_tcp.accept(listener) do
       {:ok, socket} ->

@@ -1,16 +1,17 @@
 defmodule Situ.Remote.Rendezvous.Wire do
   @moduledoc """
-  \\psi's rendezvous protocol, version 2, as terms and as bytes. Pure.
+  Encodes and decodes \\psi's rendezvous protocol, version 2. Pure.
 
-  Processes announce what they offer. A process is `%{name: name, version: text, endpoints: [endpoint]}`, an endpoint
+  Processes announce their endpoints. A process is `%{name: name, version: text, endpoints: [endpoint]}`. An endpoint
+  has one of these forms:
 
-    * `{:tcp, host, port, streams}`, one stream in \\psi's TCP framing,
-    * `{:address, address, streams}`, ZeroMQ's in \\psi; a link's (`situ://...`) among Situ's processes,
-    * `{:exporter, host, port, transport, streams}` or
-    * `{:clock, host, port, []}`,
+    * `{:tcp, host, port, streams}`: one stream in \\psi's TCP framing,
+    * `{:address, address, streams}`: ZeroMQ in \\psi, a link (`situ://...`) in Situ,
+    * `{:exporter, host, port, transport, streams}`,
+    * `{:clock, host, port, []}`.
 
-  and a stream `{name, type}`, both text. Strings are their length (seven bits a byte, the least first) and UTF-8,
-  integers are little-endian.
+  A stream is `{name, type}`, both strings. A string is its length (seven bits per byte, least significant first) and
+  its UTF-8 bytes. Integers are little-endian.
 
       iex> alias Situ.Remote.Rendezvous.Wire
       iex> process = %{name: "robot", version: "1", endpoints: [{:address, "situ://r1/robot", [{"imu", ":float"}]}]}
@@ -62,25 +63,25 @@ defmodule Situ.Remote.Rendezvous.Wire do
 
   defp int(n), do: <<n::little-signed-32>>
 
-  @doc "A string as the protocol has it."
+  @doc "Encodes a string."
   @spec text(String.t()) :: iodata()
   def text(text), do: [varint(byte_size(text)), text]
 
   defp varint(n) when n < 128, do: <<n>>
   defp varint(n), do: <<1::1, rem(n, 128)::7, varint(div(n, 128))::binary>>
 
-  @typedoc "Continues an update that is not complete, with the bytes that arrive next."
+  @typedoc "Continues decoding an incomplete update with the bytes that arrive next."
   @type continuation :: (binary() -> result())
   @type result :: {:ok, update(), binary()} | {:more, continuation()} | {:error, String.t()}
 
-  @doc "The first update in `bytes` and what follows it; `:more` when it is not all there."
+  @doc "Decodes the first update in `bytes` and returns the remaining bytes, or `:more` if the update is incomplete."
   @spec decode(binary()) :: {:ok, update(), binary()} | :more | {:error, String.t()}
   def decode(bytes) do
     with {:more, _continuation} <- feed(bytes), do: :more
   end
 
   @doc """
-  As `decode/1`, for an update that arrives in pieces. Only a text or number that was cut is read twice.
+  Decodes an update that arrives in parts, as `decode/1` does. Only a string or number that was cut is read twice.
 
       iex> alias Situ.Remote.Rendezvous.Wire
       iex> <<first::binary-3, rest::binary>> = IO.iodata_to_binary(Wire.encode({:remove, "robot"}))
@@ -107,7 +108,7 @@ defmodule Situ.Remote.Rendezvous.Wire do
 
   def feed(<<kind, _::binary>>), do: {:error, "no update begins with the byte #{kind}"}
 
-  # Each takes the bytes and `next`, which gets the value and the remaining bytes.
+  # Each of these functions takes the bytes and a function `next`, which gets the value and the remaining bytes.
 
   defp feed_text(bytes, next), do: feed_one(bytes, &read_text/1, next)
   defp feed_int(bytes, next), do: feed_one(bytes, &read_int/1, next)
@@ -147,7 +148,7 @@ defmodule Situ.Remote.Rendezvous.Wire do
   end
 
   defp feed_endpoint(<<kind, _::binary>>, _next),
-    do: {:error, "no endpoint is of the kind #{kind}"}
+    do: {:error, "unknown endpoint kind: #{kind}"}
 
   defp feed_endpoint(<<>>, next), do: {:more, &feed_endpoint(&1, next)}
 
@@ -161,7 +162,9 @@ defmodule Situ.Remote.Rendezvous.Wire do
 
   defp feed_list(bytes, most, one, next) do
     feed_int(bytes, fn n, rest ->
-      if n in 0..most, do: feed_n(rest, {n, []}, one, next), else: {:error, "a list of #{n}"}
+      if n in 0..most,
+        do: feed_n(rest, {n, []}, one, next),
+        else: {:error, "a list of #{n} items exceeds the limit"}
     end)
   end
 
@@ -170,12 +173,12 @@ defmodule Situ.Remote.Rendezvous.Wire do
   defp feed_n(bytes, {n, done}, one, next),
     do: one.(bytes, fn item, rest -> feed_n(rest, {n - 1, [item | done]}, one, next) end)
 
-  @doc "A 32-bit number."
+  @doc "Reads a 32-bit integer."
   @spec read_int(binary()) :: {:ok, integer(), binary()} | :more
   def read_int(<<n::little-signed-32, rest::binary>>), do: {:ok, n, rest}
   def read_int(_short), do: :more
 
-  @doc "A string; not longer than 4,096 bytes, and UTF-8."
+  @doc "Reads a string, which must be UTF-8 and at most 4,096 bytes long."
   @spec read_text(binary()) :: {:ok, String.t(), binary()} | :more | {:error, String.t()}
   def read_text(<<0::1, n::7, rest::binary>>), do: take_text(n, rest)
 
@@ -183,16 +186,18 @@ defmodule Situ.Remote.Rendezvous.Wire do
     do: take_text(high * 128 + low, rest)
 
   def read_text(<<1::1, _::7, 1::1, _::7, _::binary>>),
-    do: {:error, "a text of more than 16 KiB"}
+    do: {:error, "a string is longer than 16 KiB"}
 
   def read_text(_short), do: :more
 
-  defp take_text(n, _rest) when n > @most_text, do: {:error, "a text of #{n} bytes"}
+  defp take_text(n, _rest) when n > @most_text, do: {:error, "a string of #{n} bytes is too long"}
 
   defp take_text(n, bytes) do
     case bytes do
       <<text::binary-known(n), rest::binary>> ->
-        if String.valid?(text), do: {:ok, text, rest}, else: {:error, "a text that is not UTF-8"}
+        if String.valid?(text),
+          do: {:ok, text, rest},
+          else: {:error, "a string is not valid UTF-8"}
 
       _ ->
         :more

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Server.Channel do
   @moduledoc """
-  One stream on its way to one client, on the server's side: what was asked, where it is, what may be sent. Pure.
+  The server's state of one stream sent to one client: the request, its position, and the remaining credit. Pure.
   """
   alias Situ.Delivery
   alias Situ.Remote.Link.{Datagrams, Frame}
@@ -24,15 +24,15 @@ defmodule Situ.Remote.Server.Channel do
   ]
 
   @typedoc """
-  `state`: `:waiting` for a stream of this name, `:open`, or `:ended`. `out`: frames that wait to be sent, with the
-  number of messages in them. `udp`: key and size of the datagrams that a client asks for, `datagrams` the process that
-  sends them.
+  `state` is `:waiting` (no stream of this name exists yet), `:open`, or `:ended`. `out` holds the frames to send, with
+  their numbers of messages. `udp` holds the key and size of the datagrams requested by the client, and `datagrams` is
+  the process that sends them.
   """
   @type t :: %__MODULE__{}
 
   @most_window 256 * 1024 * 1024
 
-  @doc "As a client asks for it; a sentence says what is wrong."
+  @doc "Builds a channel from a client's request. If the request is invalid, returns the reason as text."
   @spec new(Frame.channel(), map()) :: {:ok, t()} | {:error, String.t()}
   def new(id, %{"name" => name} = asked) when is_binary(name) do
     with {:ok, from} <- from(asked["from"]),
@@ -45,13 +45,13 @@ defmodule Situ.Remote.Server.Channel do
     end
   end
 
-  def new(_id, _asked), do: {:error, "a subscription without the name of a stream"}
+  def new(_id, _asked), do: {:error, "the subscription does not name a stream"}
 
   defp from("now"), do: {:ok, :now}
   defp from("start"), do: {:ok, :start}
   defp from(%{"after" => time}), do: at(time, &{:after, &1})
   defp from(%{"at" => time}), do: at(time, &{:at, &1})
-  defp from(_other), do: {:error, "a subscription that does not say where to begin"}
+  defp from(_other), do: {:error, "the subscription has no valid start"}
 
   defp at(time, from) do
     least = Recording.before_all()
@@ -68,9 +68,9 @@ defmodule Situ.Remote.Server.Channel do
   defp policy(%{"max_latency" => d}),
     do: with({:ok, d} <- number(d, 0, 1.0e18, "max_latency"), do: {:ok, Delivery.max_latency(d)})
 
-  defp policy(_other), do: {:error, "a delivery policy that is not known"}
+  defp policy(_other), do: {:error, "the delivery policy is unknown"}
 
-  # A request over the connection may be malformed.
+  # The client may send malformed options, so they are validated.
   defp udp(%{"key" => text, "size" => size}) when is_binary(text) and is_integer(size) do
     {least, most} = Datagrams.sizes()
 
@@ -83,9 +83,9 @@ defmodule Situ.Remote.Server.Channel do
   defp udp(_other), do: nil
 
   defp number(n, least, most, _what) when is_integer(n) and n >= least and n <= most, do: {:ok, n}
-  defp number(_n, _least, _most, what), do: {:error, "a #{what} out of range"}
+  defp number(_n, _least, _most, what), do: {:error, "#{what} is out of range"}
 
-  @doc "Whether it has something to do: room at the client, and a stream."
+  @doc "Returns whether the channel may send: its stream is open, and the client has granted credit."
   @spec ready?(t()) :: boolean()
   def ready?(%__MODULE__{state: :open, credit: credit}), do: credit > 0
   def ready?(%__MODULE__{}), do: false

@@ -1,17 +1,18 @@
 defmodule Situ.Remote.Server.Datagrams do
   @moduledoc false
-  # One lossy stream on its way to one client as datagrams: a process with a socket of its own. It sends to wherever the
-  # client last said it is, so that many at once as a receiver can take, and tells the session when a frame is out.
+  # Sends one lossy stream to one client as datagrams, in a separate process with its own socket. It sends to the last
+  # address that the client's hello came from, in bursts that a receiver can absorb, and notifies the session when a
+  # frame was sent.
   use GenServer
   alias Situ.Remote.Link.Datagrams
 
-  # So many bytes at once, then a pause: about 40 MB/s.
+  # Bytes per burst, followed by a pause: about 40 MB/s.
   @burst 40_000
   @pause_ms 1
 
   defstruct [:socket, :session, :id, :key, :sender, :to, queue: :queue.new(), paused: false]
 
-  @doc "`{:ok, pid, port}`; it ends with the session."
+  @doc "Starts a sender that ends with the session. Returns `{:ok, pid, port}`."
   @spec start(:inet.ip_address(), non_neg_integer(), binary(), pos_integer()) ::
           {:ok, pid(), :inet.port_number()} | {:error, term()}
   def start(ip, id, key, size) do
@@ -20,7 +21,7 @@ defmodule Situ.Remote.Server.Datagrams do
          do: {:ok, pid, port}
   end
 
-  @doc "Sends a frame; the session gets `{:situ_sent, id, bytes}` when it is out."
+  @doc "Sends a frame. The session then receives `{:situ_sent, id, bytes}`."
   @spec send_frame(pid(), iodata(), non_neg_integer()) :: :ok
   def send_frame(pid, frame, messages), do: GenServer.cast(pid, {:frame, frame, messages})
 
@@ -71,7 +72,7 @@ defmodule Situ.Remote.Server.Datagrams do
   defp run(state, left) do
     case :queue.out(state.queue) do
       {{:value, {:datagram, bytes}}, queue} ->
-        # One that cannot be sent is lost like one on the way.
+        # A datagram that cannot be sent counts as lost in transit.
         _ = :gen_udp.send(state.socket, elem(state.to, 0), elem(state.to, 1), bytes)
         run(%{state | queue: queue}, left - byte_size(bytes))
 

@@ -1,21 +1,21 @@
 defmodule Situ.Remote.Server.Pump do
   @moduledoc false
-  # Sends a session's messages: one frame of the channel whose turn it is, so that a more important channel never
-  # waits for more than a frame. Works on the session's state.
+  # Sends the messages of a session, one frame of the scheduled channel at a time, so that a more important channel
+  # never waits for more than one frame. Operates on the state of the session.
   import Situ.Bits, only: [known: 1]
   alias Situ.Delivery
   alias Situ.Remote.Link.{Frame, Quota, Schedule, Socket}
   alias Situ.Remote.Server.{Channel, Datagrams}
 
-  # The most work before the session looks at its mailbox again.
+  # The maximum work before the session checks its mailbox again.
   @turn_bytes 4 * 1024 * 1024
   @turn_reads 64
-  # A longer batch goes in pieces.
+  # Longer batches are sent in parts.
   @most_piece 4 * 1024 * 1024
 
   @type state :: map()
 
-  @doc "Finds a new channel's stream, if there is one of its name."
+  @doc "Opens the stream of a new channel, if a stream of that name exists."
   @spec open(state(), Frame.channel()) :: state()
   def open(state, id) do
     channel = state.channels[id]
@@ -31,7 +31,7 @@ defmodule Situ.Remote.Server.Pump do
     end
   end
 
-  # As datagrams, where they were asked for and there is a network.
+  # Uses datagrams if the client asked for them and the connection is over a network.
   defp aside(%{udp: {key, size}} = channel, socket) do
     with ip when ip != nil <- Socket.local(socket),
          {:ok, pid, port} <- Datagrams.start(ip, channel.id, key, size) do
@@ -43,13 +43,13 @@ defmodule Situ.Remote.Server.Pump do
 
   defp aside(channel, _socket), do: {channel, %{}}
 
-  @doc "Finds the streams that channels have been waiting for."
+  @doc "Opens the channels whose streams did not exist before."
   @spec open_waiting(state()) :: state()
   def open_waiting(state) do
     for({id, %{state: :waiting}} <- state.channels, do: id) |> Enum.reduce(state, &open(&2, &1))
   end
 
-  @doc "A channel that changed."
+  @doc "Stores a changed channel, and schedules it if it can send."
   @spec put(state(), Channel.t()) :: state()
   def put(state, channel) do
     state = %{state | channels: Map.put(state.channels, channel.id, channel)}
@@ -59,7 +59,7 @@ defmodule Situ.Remote.Server.Pump do
       else: state
   end
 
-  @doc "There may be more of every stream."
+  @doc "Schedules all channels that can send, since every stream may have new messages."
   @spec wake(state()) :: state()
   def wake(state) do
     schedule =
@@ -70,7 +70,7 @@ defmodule Situ.Remote.Server.Pump do
     %{state | schedule: schedule}
   end
 
-  @doc "Whether everything there is has been sent."
+  @doc "Returns whether all available data was sent."
   @spec drained?(state()) :: boolean()
   def drained?(state) do
     state.stage != :open or
@@ -79,11 +79,11 @@ defmodule Situ.Remote.Server.Pump do
       end)
   end
 
-  # Neither messages nor an end that the client has not heard of.
+  # The channel has no unsent messages, and the client knows about the end of the stream.
   defp idle?(state, channel),
     do: match?({:idle, _}, state.module.read(state.origin, channel.cursor))
 
-  @doc "Sends the answers that wait, as the quota allows."
+  @doc "Sends the queued replies, as far as the quota allows."
   @spec replies(state()) ::
           {:sent, state()} | {:wait, pos_integer(), state()} | {:error, term(), state()}
   def replies(state) do
@@ -102,7 +102,10 @@ defmodule Situ.Remote.Server.Pump do
     end
   end
 
-  @doc "Sends what there is, for a while: there is more, the quota asks to wait, or nothing is left to send now."
+  @doc """
+  Sends messages for one time slice. Returns whether more is left to send, the quota requires a pause, or nothing is
+  left for now.
+  """
   @spec run(state()) ::
           {:more, state()}
           | {:wait, pos_integer(), state()}
@@ -122,7 +125,7 @@ defmodule Situ.Remote.Server.Pump do
     end
   end
 
-  # It may have gone, or have no room any more.
+  # The channel may be gone, or may have no credit left.
   defp turn(state, nil, bytes, reads), do: run(state, bytes, reads)
 
   defp turn(state, channel, bytes, reads) do
@@ -167,7 +170,7 @@ defmodule Situ.Remote.Server.Pump do
         step(state, %{channel | out: out, cursor: cursor, dropped: channel.dropped + lost})
 
       {:idle, cursor} ->
-        # Not scheduled: news will wake it.
+        # The channel is not scheduled until new data arrives.
         channels = Map.put(state.channels, channel.id, %{channel | cursor: cursor})
         {:sent, 0, 0, %{state | channels: channels}}
 
@@ -182,7 +185,7 @@ defmodule Situ.Remote.Server.Pump do
   defp transmit(_state, channel, frame, messages),
     do: Datagrams.send_frame(channel.datagrams, frame, messages)
 
-  # A lossy policy leaves messages out when it is the stream's turn to send: only then the link's capacity is known.
+  # A lossy policy skips messages only when the stream is about to be sent, when the capacity of the link is known.
   defp lighten(state, %{policy: policy} = channel) do
     if Delivery.lossy?(policy) do
       {skipped, cursor} =

@@ -1,34 +1,36 @@
 defmodule Situ.Remote.Server.Requests do
   @moduledoc """
-  The requests of a client to a recording (`{:request, id, map}`) and the bodies of the answers. On the other side the
-  reader `Situ.Remote.Recording` asks.
+  Handles the requests of clients to a recording (`{:request, id, map}`) and builds the bodies of the replies. The
+  client side is the reader `Situ.Remote.Recording`.
 
-  | `op` | further keys | answer |
+  | `op` | further keys | reply |
   |---|---|---|
   | `open` | | info, with `version` |
   | `streams`; `stream` | `stream` | list of maps; one |
   | `seek`, `count` | `stream`, `time` | ordinal, number |
   | `read` | `stream`, `ordinal`, `to`, `limit`, `exact`, `envelopes`, `skip_damage` | 64 bits of ordinal, batches |
-  | `summary`, `tracks` | `stream`, `from`, `to`, `pixels` or `level` and `most` | the answer of the
-  `Situ.Store.Reader` |
+  | `summary`, `tracks` | `stream`, `from`, `to`, `pixels` or `level` and `most` | as in `Situ.Store.Reader` |
   | `gaps`; `missing_files` | `stream`, `least` | lists |
   | `await` | `known` | `{:published \| :ended, n}`, once there is more than `known` |
 
-  Every request but `open` names the `version` that `open` told of. Answers but that of `read` are external terms, which
-  the other side reads by the checked decoder of stores. A body goes in pieces: the byte 0 before each but the last,
-  which has 1; 2 stands before an error as JSON.
+  Every request except `open` contains the `version` returned by `open`. All replies except those to `read` are external
+  terms, which the client reads with the checked decoder of stores. A body is sent in segments: each begins with the
+  byte 0, the last one with 1. The byte 2 precedes an error as JSON.
   """
   alias Situ.{Error, JSON}
   alias Situ.Remote.Link.{Batch, Handshake}
   alias Situ.Store.{Handle, Reading, StreamInfo}
 
-  # At most so many messages in one answer, and so many where only as many as were asked for may come.
+  # Limits for the messages in one reply. The second one applies if the client wants exactly as many as it asked for.
   @most 4_096
   @most_exact 16
   @most_pixels 100_000
   @piece 1024 * 1024
 
-  @doc "The pieces of an answer, or that of `await`: from which number on there is something to tell."
+  @doc """
+  Handles a request. Returns the segments of the reply or, for `await`, the number above which the client wants to be
+  notified.
+  """
   @spec answer(Handle.t(), map()) :: {:ok, [iodata()]} | {:await, non_neg_integer()}
   def answer(%Handle{} = store, %{"op" => "await"} = asked) do
     with {:ok, known} <- number(asked["known"], 0, 0xFFFFFFFFFFFF),
@@ -49,17 +51,17 @@ defmodule Situ.Remote.Server.Requests do
     error in Error -> {:ok, error |> discreet(store) |> error()}
   end
 
-  # Paths of this machine are nobody's business.
+  # Clients must not see paths of this machine.
   defp discreet(error, store) do
     hide = &(&1 && String.replace(&1, store.path, Path.basename(store.path)))
     %{error | what: hide.(error.what), why: hide.(error.why), fix: hide.(error.fix)}
   end
 
-  @doc "An error as an answer."
+  @doc "Builds the reply for an error."
   @spec error(Error.t()) :: [iodata()]
   def error(%Error{} = error), do: [[2, JSON.encode(Handshake.to_map(error))]]
 
-  @doc "A term as an answer."
+  @doc "Builds the reply for a term."
   @spec term(term()) :: [iodata()]
   def term(term), do: term |> :erlang.term_to_binary() |> pieces()
 
@@ -76,7 +78,7 @@ defmodule Situ.Remote.Server.Requests do
     with {:ok, info} <- Reading.stream_info(store, name), do: of_stream(op, store, info, asked)
   end
 
-  defp act(op, _store, _asked), do: {:error, "an operation #{inspect(op)} without its stream"}
+  defp act(op, _store, _asked), do: {:error, "the operation #{inspect(op)} needs a stream"}
 
   defp of_stream("stream", _store, info, _asked), do: {:ok, [info] |> shown() |> term()}
   defp of_stream("count", store, info, _asked), do: {:ok, store |> Reading.count(info) |> term()}
@@ -129,12 +131,12 @@ defmodule Situ.Remote.Server.Requests do
          {:ok, counts, tracks} <- store.module.tracks(store.state, info, from, to, level, most) do
       {:ok, term({counts, tracks})}
     else
-      false -> {:error, "more than #{@most_pixels} bins"}
+      false -> {:error, "the request covers more than #{@most_pixels} bins"}
       error -> error
     end
   end
 
-  defp of_stream(op, _store, _info, _asked), do: {:error, "no operation #{inspect(op)}"}
+  defp of_stream(op, _store, _info, _asked), do: {:error, "unknown operation: #{inspect(op)}"}
 
   defp shown(infos) do
     for %StreamInfo{} = info <- infos do
@@ -147,13 +149,15 @@ defmodule Situ.Remote.Server.Requests do
       do: :ok,
       else:
         {:error,
-         Error.new(:no_summary, "#{inspect(store.module)} makes no summaries", meta: %{none: true})}
+         Error.new(:no_summary, "#{inspect(store.module)} does not support summaries",
+           meta: %{none: true}
+         )}
   end
 
   defp time(n), do: number(n, -0x7FFFFFFFFFFFFFFF, 0x7FFFFFFFFFFFFFFF)
 
   defp number(n, least, most) when is_integer(n) and n >= least and n <= most, do: {:ok, n}
-  defp number(_n, least, most), do: {:error, "a number that is not between #{least} and #{most}"}
+  defp number(_n, least, most), do: {:error, "a number is not between #{least} and #{most}"}
 
   defp pieces(bytes) when byte_size(bytes) <= @piece, do: [[1, bytes]]
 
@@ -162,5 +166,5 @@ defmodule Situ.Remote.Server.Requests do
     [[0, piece] | pieces(rest)]
   end
 
-  defp bad(why), do: Error.new(:bad_request, "a malformed request", why: why)
+  defp bad(why), do: Error.new(:bad_request, "the request is malformed", why: why)
 end

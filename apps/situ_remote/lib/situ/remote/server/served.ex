@@ -1,24 +1,28 @@
 defmodule Situ.Remote.Server.Served do
   @moduledoc false
-  # Finds the recording of a server by the name that a client sends.
+  # Finds a served recording by the name that a client sends.
   alias Situ.Error
 
   @type served :: %{String.t() => {module(), term()}}
 
-  @doc "Without a name, where there is but one; a name with its version; errors: `:no_recording`."
+  @doc """
+  Fetches a recording by its name, with or without a version. The name may be empty if the server has only one.
+
+  Errors: `:no_recording`.
+  """
   @spec find(served(), String.t()) :: {:ok, {module(), term()}} | {:error, Error.t()}
   def find(served, "") when map_size(served) == 1, do: {:ok, served |> Map.values() |> hd()}
 
   def find(served, name) do
     with :error <- Map.fetch(served, name), :error <- version(served, name) do
       {:error,
-       Error.new(:no_recording, "nothing is served under the name #{inspect(name)}",
-         fix: "served: #{served |> Map.keys() |> Enum.join(", ")}"
+       Error.new(:no_recording, "the server has no recording named #{inspect(name)}",
+         fix: "use one of these names: #{served |> Map.keys() |> Enum.join(", ")}"
        )}
     end
   end
 
-  # One version of a recording that is served.
+  # The name may end with a version of a served recording.
   defp version(served, name) do
     with [_, name, version] <- Regex.run(~r/\A(.+)\.(\d{4,9})\z/s, name),
          {:ok, {module, spec}} <- Map.fetch(served, name),

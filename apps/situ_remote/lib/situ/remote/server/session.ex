@@ -1,7 +1,8 @@
 defmodule Situ.Remote.Server.Session do
   @moduledoc false
-  # One client: proves who it is, learns the catalogue, asks for streams, and is sent them as it has room. Nothing that
-  # it sends can harm anybody but itself; whatever is not understood ends the connection with a sentence.
+  # The session of one client. The client authenticates, receives the catalogue, subscribes to streams, and is sent
+  # messages as its credit allows. Its data can affect only its own session; invalid data end the connection with an
+  # error.
   use GenServer, restart: :temporary
   alias Situ.Error
   alias Situ.Remote.Link.{Frame, Handshake, Schedule, Socket}
@@ -11,10 +12,10 @@ defmodule Situ.Remote.Server.Session do
 
   @login_ms 10_000
   @look_ms 500
-  # Of a client that is logged in: subscriptions and requests are short.
+  # The frame limit after the login. Subscriptions and requests are short.
   @most_bytes 1024 * 1024
   @most_channels 100_000
-  # Tags below are versions of recordings.
+  # Smaller tags are versions of recordings.
   @first_tag 0x100000000
 
   defstruct [
@@ -43,7 +44,7 @@ defmodule Situ.Remote.Server.Session do
 
   def start_link(config), do: GenServer.start_link(__MODULE__, config)
 
-  @doc "Hands over an accepted connection, whose owner is the caller."
+  @doc "Passes an accepted connection to the session. The caller must be its owner."
   @spec adopt(pid(), Socket.t()) :: :ok | {:error, term()}
   def adopt(session, socket) do
     with :ok <- Socket.give(socket, session) do
@@ -79,7 +80,7 @@ defmodule Situ.Remote.Server.Session do
     do: {:stop, {:shutdown, :closed}, state}
 
   def handle_info({kind, _socket, reason}, state) when kind in [:tcp_error, :ssl_error] do
-    if reason == :emsgsize, do: warn(state, "a frame longer than may be"), else: :ok
+    if reason == :emsgsize, do: warn(state, "a frame exceeds the size limit"), else: :ok
     {:stop, {:shutdown, reason}, state}
   end
 
@@ -104,7 +105,7 @@ defmodule Situ.Remote.Server.Session do
     end
   end
 
-  # News that a client waits for: the tag is the request's.
+  # A client awaits this news. The tag contains the id of its request.
   def handle_info({:situ_store, tag, news}, state) when tag >= @first_tag,
     do: {:noreply, reply(state, tag - @first_tag, Requests.term(news))} |> then_pump()
 
@@ -120,7 +121,8 @@ defmodule Situ.Remote.Server.Session do
   @impl true
   def handle_call(:drained?, _from, state), do: {:reply, Pump.drained?(state), state}
 
-  # All has been said: the client closes when it has read it. To close here could take back what is still on its way.
+  # All data were sent, and the client closes the connection after reading them. Closing it here could discard data in
+  # flight.
   def handle_call(:finish, _from, state) do
     if state.socket, do: Socket.finish(state.socket)
     {:reply, :ok, %{state | paused: true}}
@@ -138,14 +140,14 @@ defmodule Situ.Remote.Server.Session do
     }
   end
 
-  # A frame of the client's.
+  # Frames from the client
 
   defp frame({:hello, version, oldest, nonce}, %{stage: :greeting} = state) do
     with {:ok, _version} <- Handshake.check_version(version, oldest),
          do: {:ok, %{state | stage: :login, client_nonce: nonce}}
   end
 
-  # There is no room. The client gets the reason after its login, when it waits for an answer.
+  # The server is full. The client gets the reason after its login, when it expects a reply.
   defp frame({:login, _proof, _map}, %{stage: :login, config: %{refusal: error}}),
     do: {:error, error}
 
@@ -162,9 +164,9 @@ defmodule Situ.Remote.Server.Session do
 
   defp frame({:credit, id, bytes}, %{stage: :open} = state) do
     case state.channels do
-      # Datagrams are paid for when they are out (`:situ_sent`): those that were lost are never used up.
+      # Datagrams are credited when they are sent (`:situ_sent`), because lost ones are never consumed.
       %{^id => %{datagrams: nil} = channel} -> {:pump, paid(state, channel, bytes)}
-      # Of a stream that has ended meanwhile.
+      # The stream has ended since.
       _ -> {:ok, state}
     end
   end
@@ -199,9 +201,9 @@ defmodule Situ.Remote.Server.Session do
   end
 
   defp frame(frame, state),
-    do: {:error, bad_frame("a frame #{elem(frame, 0)} out of turn (#{state.stage})")}
+    do: {:error, bad_frame("unexpected frame: #{elem(frame, 0)} (in stage #{state.stage})")}
 
-  # Who only wants to know what there is.
+  # The client only asks for the names of the recordings.
   defp login(%{"list" => true}, state) do
     with {:ok, _state} <- answer(state, welcome(state)) do
       Socket.finish(state.socket)
@@ -235,7 +237,7 @@ defmodule Situ.Remote.Server.Session do
     end
   end
 
-  # A client goes on with the version that it opened, whatever was recorded since.
+  # A client keeps the version that it opened, even if a newer one was recorded since.
   defp store(state, nil) do
     with {:ok, store} <- state.module.store(state.origin, nil), do: {:ok, store, state}
   end
@@ -259,7 +261,7 @@ defmodule Situ.Remote.Server.Session do
 
   defp taken({:ok, state}, _before), do: listen(state)
 
-  # A client that does not read its answers gets no more requests handled.
+  # Further requests of a client are not handled until it has read its replies.
   defp taken({:pump, state}, _before) do
     if :queue.is_empty(state.replies),
       do: state |> listen() |> then_pump(),
@@ -296,7 +298,7 @@ defmodule Situ.Remote.Server.Session do
     end
   end
 
-  # Also when there are none: the client waits for the first list.
+  # An empty list is sent, too, because the client waits for the first list.
   defp tell(state, fresh) do
     streams = for entry <- fresh, do: %{"name" => entry.name, "type" => entry.type}
     _ = Socket.send(state.socket, Frame.encode({:streams, %{"streams" => streams}}))
@@ -343,7 +345,7 @@ defmodule Situ.Remote.Server.Session do
     with :ok <- Socket.send(state.socket, Frame.encode(frame)), do: {:ok, state}
   end
 
-  # The client reads why before the connection ends, and may try only so often.
+  # The client receives the reason before the connection ends. The server limits how often it may try again.
   defp refuse(error, state) do
     warn(state, Exception.message(error))
     send(state.server, {:refused, self(), error.code})
@@ -356,12 +358,12 @@ defmodule Situ.Remote.Server.Session do
 
   defp wrong_token do
     Error.new(:wrong_token, "the token of the link is wrong",
-      why: "the other side could not prove that it knows it",
-      fix: "give both sides the same token:"
+      why: "the client could not prove that it knows the token",
+      fix: "give both sides the same `token:`"
     )
   end
 
   defp bad_frame(why) do
-    Error.new(:bad_frame, "the other side does not speak the link protocol", why: why)
+    Error.new(:bad_frame, "the other side violated the link protocol", why: why)
   end
 end

@@ -1,16 +1,16 @@
 defmodule Situ.Remote.Log.Nats.Connection do
   @moduledoc false
-  # One connection to one of several NATS servers: requests with their answers. When it is lost, requests under way are
-  # answered `{:error, :down}` and it connects again, to the next server, until one is there. With `subscriber:` (a
-  # process) and `subjects:` what comes on these is sent to it as `{:nats, connection, message}`, and `{:nats,
-  # connection, :up}` after each time that it has connected.
+  # A connection to one of several NATS servers, for requests with replies. When it is lost, requests in flight return
+  # `{:error, :down}`, and it tries the servers in turn until one accepts. With `subscriber:` (a process) and
+  # `subjects:`, it sends the messages of these subjects to the subscriber as `{:nats, connection, message}`, and
+  # `{:nats, connection, :up}` each time it has connected.
   use GenServer
 
   alias Situ.{Error, JSON}
   alias Situ.Remote.Log.Nats.{Dial, Wire}
   require Logger
 
-  # Behind the payload: headers of requests and answers.
+  # Space for the headers of requests and replies, in addition to the payload.
   @headers 65_536
   @again_ms 100
 
@@ -31,11 +31,11 @@ defmodule Situ.Remote.Log.Nats.Connection do
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
 
-  @doc "As `start_link/1`, for callers that come and go: it ends when they close it."
+  @doc "Starts a connection that is not linked to its caller and runs until it is closed."
   @spec start(keyword()) :: GenServer.on_start()
   def start(opts), do: GenServer.start(__MODULE__, opts)
 
-  @doc "Sends a message and waits `timeout` ms for its answer."
+  @doc "Sends a message and waits `timeout` ms for its reply."
   @spec request(pid(), String.t(), [{String.t(), String.t()}], iodata(), pos_integer()) ::
           {:ok, Wire.message()} | {:error, :down | :timeout}
   def request(connection, subject, headers, data, timeout) do
@@ -44,12 +44,12 @@ defmodule Situ.Remote.Log.Nats.Connection do
     :exit, _ -> {:error, :down}
   end
 
-  @doc "Sends a message that nobody has to answer; it is lost where there is no connection."
+  @doc "Sends a message without waiting for a reply. Without a connection it is dropped."
   @spec publish(pid(), String.t(), String.t(), iodata()) :: :ok
   def publish(connection, subject, reply, data),
     do: GenServer.cast(connection, {:publish, subject, reply, data})
 
-  @doc "The server's information about itself; `nil` while there is no connection."
+  @doc "Returns the server's information about itself, or `nil` without a connection."
   @spec info(pid()) :: map() | nil
   def info(connection) do
     GenServer.call(connection, :info, 10_000)
@@ -75,13 +75,13 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
   defp stop(error), do: {:stop, {:shutdown, error}}
 
-  # It waits for a server that is not running yet, as it does for a lost one.
+  # Waits for a server that is not running yet, in the same way as for a lost one.
   defp wait(state, error) do
     Process.send_after(self(), :connect, @again_ms)
     {:ok, warn_waiting(state, error)}
   end
 
-  # It logs each reason once, and the end of the wait once.
+  # Logs each reason once, and the end of the wait once.
   defp warn_waiting(%{told: told} = state, %Error{what: told}), do: state
 
   defp warn_waiting(state, %Error{} = error) do
@@ -92,7 +92,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
   defp log_connected(%{told: nil} = state), do: state
 
   defp log_connected(state) do
-    Logger.warning("the NATS server at #{server(state)} is there")
+    Logger.warning("connected to the NATS server at #{server(state)}")
     %{state | told: nil}
   end
 
@@ -206,7 +206,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
       else: told(state, message)
   end
 
-  # Another server of the cluster, or other limits.
+  # The server sends this again when a server joins the cluster or when its limits change.
   defp handle({:info, json}, state) do
     case JSON.decode(json) do
       {:ok, info} when is_map(info) -> %{state | info: info}
@@ -214,7 +214,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
     end
   end
 
-  # The server closes the connection after most of them.
+  # After most of these errors the server closes the connection.
   defp handle({:failure, _text}, state), do: state
   defp handle(_frame, state), do: state
 
@@ -263,7 +263,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
   defp server(%{servers: [server | _]}), do: Dial.name(server)
 
-  # Passwords have no place in a log.
+  # Keeps passwords out of crash logs.
   @impl true
   def format_status(_reason, [_dictionary, state]),
     do: [data: [{~c"State", %{servers: state.servers, connected: state.socket != nil}}]]

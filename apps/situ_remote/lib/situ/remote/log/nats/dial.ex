@@ -17,7 +17,7 @@ defmodule Situ.Remote.Log.Nats.Dial do
           rest: binary()
         }
 
-  @doc "`opts` are those of the connection: `login`, `tls`, `subjects`, `jetstream`."
+  @doc "Connects to a server and logs in. `opts` are those of the connection: `login`, `tls`, `subjects`, `jetstream`."
   @spec connect(server(), keyword()) :: {:ok, dialed()} | {:error, Error.t()}
   def connect({host, port} = server, opts) do
     state = %{server: server, opts: opts, transport: nil, socket: nil}
@@ -44,7 +44,7 @@ defmodule Situ.Remote.Log.Nats.Dial do
     end
   end
 
-  # The caller tries again and again, so no failed attempt may leave its socket open.
+  # The caller retries repeatedly, so a failed attempt must not leave its socket open.
   defp or_close({:error, _} = error, transport, socket) do
     _ = transport.close(socket)
     error
@@ -52,7 +52,7 @@ defmodule Situ.Remote.Log.Nats.Dial do
 
   defp or_close(answer, _transport, _socket), do: answer
 
-  @doc "A server, for people."
+  @doc "Formats the address of a server as `host:port`."
   @spec name(server()) :: String.t()
   def name({host, port}), do: "#{host}:#{port}"
 
@@ -60,7 +60,9 @@ defmodule Situ.Remote.Log.Nats.Dial do
 
   defp reached({:error, reason}, state) do
     {:error,
-     Error.new(:log_away, "no NATS server at #{name(state.server)}: #{reason_text(reason)}",
+     Error.new(
+       :log_away,
+       "cannot connect to a NATS server at #{name(state.server)}: #{reason_text(reason)}",
        fix: "start nats-server with JetStream (nats-server -js), or correct the address"
      )}
   end
@@ -75,8 +77,7 @@ defmodule Situ.Remote.Log.Nats.Dial do
         greeting(socket, read, state)
 
       _ ->
-        {:error,
-         Error.new(:log_away, "#{name(state.server)} does not speak the protocol of NATS")}
+        {:error, Error.new(:log_away, "#{name(state.server)} does not speak the NATS protocol")}
     end
   end
 
@@ -86,13 +87,15 @@ defmodule Situ.Remote.Log.Nats.Dial do
     cond do
       old?(version) ->
         {:error,
-         Error.new(:old_server, "the NATS server at #{name(state.server)} is #{version}",
-           fix: "use 2.9 or newer"
+         Error.new(:old_server, "the NATS server at #{name(state.server)} has version #{version}",
+           fix: "use version 2.9 or newer"
          )}
 
       info["jetstream"] != true and state.opts[:jetstream] != false ->
         {:error,
-         Error.new(:no_jetstream, "the NATS server at #{name(state.server)} stores nothing",
+         Error.new(
+           :no_jetstream,
+           "the NATS server at #{name(state.server)} does not store messages",
            why: "JetStream is off",
            fix: "start it with -js and a folder: nats-server -js -sd FOLDER"
          )}
@@ -115,9 +118,9 @@ defmodule Situ.Remote.Log.Nats.Dial do
     cond do
       tls != nil and not (info["tls_required"] == true or info["tls_available"] == true) ->
         {:error,
-         Error.new(:no_tls, "the NATS server at #{name(state.server)} does not speak TLS",
+         Error.new(:no_tls, "the NATS server at #{name(state.server)} does not support TLS",
            why:
-             "certificates are given for it, and without TLS others on the network could read the log",
+             "TLS is configured for it, and without TLS others on the network could read the log",
            fix:
              "start it with the configuration of `situ cluster init` (nats-server -c nats-server.conf), or leave out" <>
                " tls: (--log-plain)"
@@ -134,9 +137,9 @@ defmodule Situ.Remote.Log.Nats.Dial do
 
       info["tls_required"] == true ->
         {:error,
-         Error.new(:tls_required, "the NATS server at #{name(state.server)} wants TLS",
+         Error.new(:tls_required, "the NATS server at #{name(state.server)} requires TLS",
            fix:
-             "give tls: [cacertfile: ...], or use the folder of `situ cluster init` that the server is from"
+             "give tls: [cacertfile: ...], or use the `situ cluster init` folder that the server was set up from"
          )}
 
       true ->
@@ -148,13 +151,15 @@ defmodule Situ.Remote.Log.Nats.Dial do
 
   defp upgraded({:error, reason}, state) do
     {:error,
-     Error.new(:tls_failed, "no TLS with #{name(state.server)}: #{inspect(reason, limit: 8)}",
+     Error.new(
+       :tls_failed,
+       "the TLS handshake with #{name(state.server)} failed: #{inspect(reason, limit: 8)}",
        fix: "check cacertfile:, certfile: and keyfile:"
      )}
   end
 
   defp hello(transport, socket, inbox, state) do
-    # The login is a function, so that no process state shows it.
+    # The login is a function, so that inspecting the process state does not print it.
     login = if state.opts[:login], do: state.opts[:login].(), else: %{}
 
     options =
@@ -181,8 +186,8 @@ defmodule Situ.Remote.Log.Nats.Dial do
 
       {:ok, {:failure, text}, _rest} ->
         {:error,
-         Error.new(:refused_login, "#{name(state.server)} refuses the connection: #{text}",
-           fix: "check user and password, or the token"
+         Error.new(:refused_login, "#{name(state.server)} rejected the login: #{text}",
+           fix: "check the user and password, or the token"
          )}
 
       {:ok, _frame, rest} ->
@@ -195,12 +200,11 @@ defmodule Situ.Remote.Log.Nats.Dial do
         end
 
       {:error, _} ->
-        {:error,
-         Error.new(:log_away, "#{name(state.server)} does not speak the protocol of NATS")}
+        {:error, Error.new(:log_away, "#{name(state.server)} does not speak the NATS protocol")}
     end
   end
 
-  defp reason_text(:timeout), do: "no answer within #{div(@first_ms, 1_000)} s"
+  defp reason_text(:timeout), do: "no response within #{div(@first_ms, 1_000)} s"
   defp reason_text(:closed), do: "it closed the connection"
   defp reason_text(reason), do: to_string(:inet.format_error(reason))
 end

@@ -1,12 +1,12 @@
 defmodule Situ.Remote.Log.Nats.Kept do
   @moduledoc false
-  # Lists and deletes the JetStream streams and keys of a server that are ours.
+  # Lists and deletes the JetStream streams and keys that belong to a log.
   alias Situ.{Error, JSON}
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Nats
   alias Situ.Remote.Log.Nats.Api
 
-  @doc "The streams whose JetStream names begin with `prefix`, and the keys in `keys`."
+  @doc "Lists the streams whose JetStream names begin with `prefix`, and the keys in the JetStream stream `keys`."
   @spec all(Nats.t(), String.t(), String.t()) :: {:ok, [Log.about()]} | {:error, Error.t()}
   def all(log, prefix, keys) do
     with {:ok, streams} <- streams(log, prefix, 0, []),
@@ -14,7 +14,7 @@ defmodule Situ.Remote.Log.Nats.Kept do
          do: {:ok, streams ++ of_keys}
   end
 
-  # The server answers page by page.
+  # The server returns the list in pages.
   defp streams(log, prefix, offset, found) do
     body = JSON.encode(%{"offset" => offset, "subject" => "situ.s.>"})
 
@@ -38,7 +38,7 @@ defmodule Situ.Remote.Log.Nats.Kept do
   defp stream(%{"config" => %{"name" => name, "subjects" => [subject]}, "state" => state}, prefix) do
     with true <- String.starts_with?(name, prefix), "situ.s." <> token <- subject do
       entries = state["messages"] || 0
-      # Of an empty stream the server says a time, but none at which anything was written.
+      # For a stream that never had an entry, the server returns a meaningless time.
       written = if (state["last_seq"] || 0) > 0, do: time(state["last_ts"])
       subject = {:stream, URI.decode(token)}
       [%{subject: subject, entries: entries, bytes: state["bytes"], written: written}]
@@ -77,7 +77,7 @@ defmodule Situ.Remote.Log.Nats.Kept do
     end
   end
 
-  # Of a key only the last entry counts.
+  # Only the last entry of a key counts.
   defp key(token, n),
     do: %{subject: {:key, URI.decode(token)}, entries: min(n, 1), bytes: nil, written: nil}
 
@@ -86,7 +86,7 @@ defmodule Situ.Remote.Log.Nats.Kept do
   def delete(log, stream),
     do: log |> Api.ask(log.api <> "STREAM.DELETE." <> stream, "", 10_000) |> done()
 
-  @doc "Deletes all messages of one subject."
+  @doc "Deletes all messages of a subject."
   @spec purge(Nats.t(), String.t(), String.t()) :: :ok | {:error, Error.t()}
   def purge(log, stream, subject) do
     body = JSON.encode(%{"filter" => subject})
@@ -96,6 +96,6 @@ defmodule Situ.Remote.Log.Nats.Kept do
   defp done({:ok, %{"success" => true}}), do: :ok
   defp done({:ok, %{"error" => %{"err_code" => 10_059}}}), do: :ok
   defp done({:ok, %{"error" => error}}), do: {:error, Api.refusal(error)}
-  defp done({:ok, _other}), do: {:error, Api.away("an answer that says nothing")}
+  defp done({:ok, _other}), do: {:error, Api.away("the reply is incomplete")}
   defp done({:error, error}), do: {:error, error}
 end

@@ -1,11 +1,11 @@
 defmodule Situ.Remote.Log.Nats.Layout do
   @moduledoc false
-  # The JetStream streams of a log: how they are made, and whether those of a server can be used.
+  # Creates the JetStream streams of a log, and checks that the existing streams of a server can be used.
   alias Situ.Error
   alias Situ.Remote.Log.Nats
   alias Situ.Remote.Log.Nats.Api
 
-  @doc "The settings that streams are made with."
+  @doc "Returns the settings for new streams."
   @spec config(keyword()) :: map()
   def config(opts) do
     %{
@@ -18,10 +18,10 @@ defmodule Situ.Remote.Log.Nats.Layout do
     }
   end
 
-  @doc "Makes the stream of the keys, or brings it up to date; a log of an older layout is refused."
+  @doc "Creates or updates the stream of the keys. Returns an error if the server has a log with an older layout."
   @spec prepare(Nats.t()) :: :ok | {:error, Error.t()}
   def prepare(log) do
-    # The limits of retention are for streams. Of each key the server keeps the last two entries.
+    # Retention limits apply only to streams. The server keeps the last two entries of each key.
     keys =
       Map.merge(Map.take(log.config, ~w(storage num_replicas allow_direct)), %{
         "name" => log.stream <> "_KEYS",
@@ -33,7 +33,7 @@ defmodule Situ.Remote.Log.Nats.Layout do
          {:error, %Error{code: :no_stream}} <- Api.info(log, keys["name"]) do
       Api.made(log, keys)
     else
-      # An older version kept one entry of each key.
+      # Older versions kept one entry of each key.
       {:ok, %{"config" => %{"max_msgs_per_subject" => 1} = config}} ->
         Api.change_stream(log, %{config | "max_msgs_per_subject" => 2})
 
@@ -45,7 +45,7 @@ defmodule Situ.Remote.Log.Nats.Layout do
     end
   end
 
-  # One JetStream stream for all of ours: nothing could be written beside it, since it takes their subjects.
+  # The older layout had one JetStream stream that takes all subjects, so no other stream could be created for them.
   defp not_older(log) do
     case Api.info(log, log.stream) do
       {:ok, _info} ->
@@ -53,8 +53,8 @@ defmodule Situ.Remote.Log.Nats.Layout do
          Error.new(
            :old_layout,
            "the server has a log of an older version of Situ (#{log.stream})",
-           why: "all streams were one JetStream stream; now each has its own",
-           fix: "remove it when nobody needs it any more: nats stream rm #{log.stream}"
+           why: "all streams shared one JetStream stream; now each has its own",
+           fix: "remove it when it is no longer needed: nats stream rm #{log.stream}"
          )}
 
       {:error, %Error{code: :no_stream}} ->

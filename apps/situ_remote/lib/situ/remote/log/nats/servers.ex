@@ -1,9 +1,9 @@
 defmodule Situ.Remote.Log.Nats.Servers do
   @moduledoc false
-  # Where servers are and how to log in, from text.
+  # Parses the addresses and the login of NATS servers.
   alias Situ.Error
 
-  @doc "Hosts with ports, and what the login is."
+  @doc "Parses an address into its hosts with ports, and the login that it contains."
   @spec parse(String.t()) ::
           {:ok, [{String.t(), :inet.port_number()}], map()} | {:error, Error.t()}
   def parse("nats://" <> rest = address) do
@@ -18,20 +18,20 @@ defmodule Situ.Remote.Log.Nats.Servers do
     if servers == [] or :error in servers,
       do:
         {:error,
-         Error.new(:bad_address, "not an address: #{redacted(address)}",
+         Error.new(:bad_address, "invalid NATS address: #{redacted(address)}",
            fix: "write nats://host:4222"
          )},
       else: {:ok, servers, login}
   end
 
-  @doc "Returns the login of an address, or that in the first line of a file."
+  @doc "Returns the login of the address, or the login in the first line of a file."
   @spec login(map(), Path.t() | nil) :: {:ok, map()} | {:error, Error.t()}
   def login(login, nil), do: {:ok, login}
 
   def login(login, _file) when login != %{} do
     {:error,
-     Error.new(:bad_option, "the address of the log and credentials: both contain a login",
-       fix: "write nats://host:4222, and user and password into the file alone"
+     Error.new(:bad_option, "the address of the log and `credentials:` both contain a login",
+       fix: "write nats://host:4222, and put the user and password only into the file"
      )}
   end
 
@@ -53,9 +53,9 @@ defmodule Situ.Remote.Log.Nats.Servers do
   end
 
   defp no_credentials(file, why) do
-    Error.new(:no_credentials, "there are no credentials in #{file}",
+    Error.new(:no_credentials, "cannot read credentials from #{file}",
       why: why,
-      fix: "its first line is user:password, or a token"
+      fix: "write user:password, or a token, into its first line"
     )
   end
 
@@ -74,13 +74,13 @@ defmodule Situ.Remote.Log.Nats.Servers do
 
   defp redacted(address), do: String.replace(address, ~r{//[^@]*@}, "//...@")
 
-  @doc "Whether this is the name of a domain, or none."
+  @doc "Checks that `domain` is `nil` or the name of a JetStream domain."
   @spec domain(String.t() | nil) :: :ok | {:error, Error.t()}
   def domain(nil), do: :ok
 
   def domain(domain) do
     if domain =~ ~r/\A[A-Za-z0-9_-]+\z/,
       do: :ok,
-      else: {:error, Error.new(:bad_option, "not the name of a domain: #{inspect(domain)}")}
+      else: {:error, Error.new(:bad_option, "invalid JetStream domain name: #{inspect(domain)}")}
   end
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Log.Nats.Wire do
   @moduledoc """
-  NATS' client protocol as bytes. Pure; bounded: a line has 4 KiB at most, a message what the server said.
+  Encodes and parses the NATS client protocol. Pure. A line has at most 4 KiB, a message at most the agreed size.
 
       iex> alias Situ.Remote.Log.Nats.Wire
       iex> "a.b" |> Wire.publish("_INBOX.1", [{"K", "v"}], "data") |> IO.iodata_to_binary()
@@ -10,7 +10,7 @@ defmodule Situ.Remote.Log.Nats.Wire do
       iex> Wire.parse("PI", 1_024)
       :more
       iex> Wire.parse("MSG a.b 1 4000\\r\\n", 1_024)
-      {:error, "a message of 4000 bytes, and 1024 were agreed on"}
+      {:error, "a message of 4000 bytes exceeds the limit of 1024"}
   """
   import Situ.Bits, only: [known: 1]
 
@@ -31,7 +31,7 @@ defmodule Situ.Remote.Log.Nats.Wire do
           | {:failure, String.t()}
           | {:message, message()}
 
-  @doc "A message with headers (a list of names and values), to be answered at `reply`."
+  @doc "Encodes a message with headers (a list of names and values). Replies go to the subject `reply`."
   @spec publish(String.t(), String.t(), [{String.t(), String.t()}], iodata()) :: iodata()
   def publish(subject, reply, headers, data) do
     head = ["NATS/1.0\r\n", for({key, value} <- headers, do: [key, ": ", value, "\r\n"]), "\r\n"]
@@ -40,7 +40,7 @@ defmodule Situ.Remote.Log.Nats.Wire do
     ["HPUB ", subject, " ", reply, " #{size} #{all}\r\n", head, data, "\r\n"]
   end
 
-  @doc "The next frame of `bytes`; a message larger than `most` bytes is an error."
+  @doc "Parses the next frame in `bytes`. A message larger than `most` bytes is an error."
   @spec parse(binary(), pos_integer()) :: {:ok, frame(), binary()} | :more | {:error, String.t()}
   def parse(bytes, most) do
     case :binary.match(bytes, "\r\n", scope: {0, min(byte_size(bytes), @line)}) do
@@ -78,7 +78,8 @@ defmodule Situ.Remote.Log.Nats.Wire do
     end
   end
 
-  defp frame(line, _rest, _most), do: {:error, "no frame: #{inspect(line, printable_limit: 40)}"}
+  defp frame(line, _rest, _most),
+    do: {:error, "unknown frame: #{inspect(line, printable_limit: 40)}"}
 
   defp trim(text), do: text |> String.trim() |> String.trim("'")
 
@@ -87,7 +88,7 @@ defmodule Situ.Remote.Log.Nats.Wire do
          {size, ""} when size >= head <- Integer.parse(size) do
       cond do
         size > most ->
-          {:error, "a message of #{size} bytes, and #{most} were agreed on"}
+          {:error, "a message of #{size} bytes exceeds the limit of #{most}"}
 
         byte_size(rest) < size + 2 ->
           :more
@@ -96,7 +97,7 @@ defmodule Situ.Remote.Log.Nats.Wire do
           take(subject, reply, head, size - head, rest)
       end
     else
-      _ -> {:error, "sizes #{inspect({head, size})}"}
+      _ -> {:error, "invalid sizes: #{inspect({head, size})}"}
     end
   end
 
@@ -116,7 +117,7 @@ defmodule Situ.Remote.Log.Nats.Wire do
         {:ok, {:message, message}, rest}
 
       _ ->
-        {:error, "a message that does not end with its line"}
+        {:error, "a message does not end with a line break"}
     end
   end
 
