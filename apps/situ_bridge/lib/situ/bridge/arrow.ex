@@ -3,39 +3,40 @@ defmodule Situ.Bridge.Arrow do
     streams: [
       type: {:optional, {:list, :string}},
       default: nil,
-      doc: "The streams wanted; all by default."
+      doc: "The names of the streams to export; by default, all of them."
     ],
-    rows: [type: :pos_integer, default: 100_000, doc: "The most rows of a batch."]
+    rows: [type: :pos_integer, default: 100_000, doc: "The maximum number of rows in a batch."]
   ]
   @read [
     time: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "The column of originating times (nanoseconds, if its type says nothing else); by default " <>
-          "`originating_time`, or else the first one of times."
+        "The column with the originating times, read as nanoseconds unless its type has a unit; by default " <>
+          "`originating_time`, or else the first column of timestamps."
     ],
     columns: [
       type: {:optional, {:list, :string}},
       default: nil,
-      doc: "The columns wanted; all by default."
+      doc: "The names of the columns to read; by default, all of them."
     ],
-    type: [type: :any, default: :any, doc: "Type of the stream."],
+    type: [type: :any, default: :any, doc: "The type of the stream."],
     name: [type: :string, doc: "The component's name."]
   ]
 
   @moduledoc """
-  Recordings as Arrow files (IPC; also called Feather), which Polars, pandas and DuckDB map into memory as they are; and
-  such files as streams.
+  Writes recordings as Arrow files (IPC, also called Feather), which Polars, pandas and DuckDB can memory-map, and
+  reads such files as streams.
 
-      {:ok, counts} = Situ.Bridge.Arrow.export(store, "tables")        # tables/NAME.arrow, one a stream
+      {:ok, counts} = Situ.Bridge.Arrow.export(store, "tables")        # tables/NAME.arrow, one per stream
       p |> Situ.Bridge.Arrow.read("levels.arrow") |> Situ.each(&IO.inspect/1)
 
-  Rows and columns are those of `Situ.Bridge.Parquet`; such a file is larger, and faster to write and to read. Written
-  are plain batches. Read are files and streams of Arrow: numbers, booleans, texts and bytes (their views too), times,
-  dates, decimals, dictionaries of these, lists, maps and structs of all of them, also packed by LZ4 or zstd. Other
-  columns (unions, list views, run-end encoded ones, intervals, dictionaries of lists or structs) are left out, and a
-  warning names them; asking for one of them, or reading a file with no others, is an error.
+  Rows and columns are the same as in `Situ.Bridge.Parquet`. An Arrow file is larger, but faster to write and to read.
+  Situ writes uncompressed batches. It reads Arrow files and Arrow streams with numbers, booleans, strings and bytes
+  (including their view types), times, dates, decimals, dictionaries of these, and lists, maps and structs of all of
+  them; buffers may be compressed with LZ4 or zstd. Columns of other types (unions, list views, run-end encoded
+  columns, intervals, dictionaries of lists or structs) are skipped with a warning that names them. Requesting such a
+  column, or reading a file that has no others, is an error.
 
   ## Options of `export/3`
 
@@ -46,8 +47,9 @@ defmodule Situ.Bridge.Arrow do
   alias Situ.{Error, Store}
 
   @doc """
-  Writes streams of a recording into a folder, a file each: `{:ok, %{name => rows}}`. Streams without messages, and
-  those of pictures, sound and the like, are left out. Errors: `:not_writable`, `:io`, `:disk_full`.
+  Writes streams of a recording into a folder, one file per stream, and returns `{:ok, %{name => rows}}`. Streams
+  without messages, and streams of images, audio and other types with a codec, are skipped. Errors: `:not_writable`,
+  `:io`, `:disk_full`.
   """
   @spec export(Store.t(), Path.t(), keyword()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
@@ -57,8 +59,9 @@ defmodule Situ.Bridge.Arrow do
   end
 
   @doc """
-  Writes one stream of a recording into a file: `{:ok, rows}`. Options: `rows:` as `export/3`; `from:`, `to:`,
-  `skip_damage:` as `Situ.Store.messages/3`; `progress:`, a function of the rows written so far.
+  Writes one stream of a recording into a file and returns `{:ok, rows}`. Options: `rows:` as in `export/3`; `from:`,
+  `to:` and `skip_damage:` as in `Situ.Store.messages/3`; `progress:`, a function that receives the number of rows
+  written so far.
   """
   @spec write(Store.t(), String.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
@@ -69,12 +72,13 @@ defmodule Situ.Bridge.Arrow do
   end
 
   @doc """
-  Writes several streams of a recording as one table: `{:ok, rows}`, a row for each message of one of them, joined on
-  time. A column is called like its stream, that of a member `STREAM.MEMBER`.
+  Writes several streams of a recording as one table, joined on time, and returns `{:ok, rows}`. The table has a row
+  for each message of the stream `on:`. Columns are named `STREAM`, or `STREAM.MEMBER` for members of maps and
+  structs.
 
       Situ.Bridge.Arrow.join(store, "drive.arrow", on: "Speed", streams: ["Pose"], within: Situ.Time.ms(50))
 
-  Other options as `write/4`.
+  Other options are the same as for `write/4`.
 
   #{Situ.Options.docs(Situ.Bridge.Columnar.Joined.options())}
   """
@@ -86,8 +90,8 @@ defmodule Situ.Bridge.Arrow do
   end
 
   @doc ~S"""
-  Writes messages from anywhere into a file: `{:ok, rows}`. `parts` are lists of messages; they are gone through twice,
-  so enumerating them again must give the same ones.
+  Writes messages from any source into a file and returns `{:ok, rows}`. `parts` is an enumerable of lists of
+  messages. It is enumerated twice and must yield the same messages both times.
 
       iex> messages = for i <- 1..3, do: %Situ.Message{data: i / 2, originating_time: i, creation_time: i}
       iex> path = Path.join(System.tmp_dir!(), "situ-parts-#{System.unique_integer([:positive])}.arrow")
@@ -105,8 +109,8 @@ defmodule Situ.Bridge.Arrow do
   end
 
   @doc """
-  A source of a file's rows; it proposes a replay from the first one on. Rows without a time, and those that are not
-  later than the one before, are left out.
+  Adds a source with the rows of a file; it proposes a replay that starts at the first row. Rows are skipped if they
+  have no time, or a time that is not later than the time of the previous row.
 
   #{Situ.Options.docs(@read)}
   """
@@ -117,8 +121,9 @@ defmodule Situ.Bridge.Arrow do
   end
 
   @doc """
-  Returns the columns of a file, and the names and types of those that are left out because their types are not read.
-  Of several columns of one name, the later ones are numbered: `x`, `x_1`. Errors: `:io`, `:not_arrow`.
+  Returns the columns of a file, and the names and types of the columns that are skipped because their types are not
+  supported. If several columns have the same name, the later ones are numbered: `x`, `x_1`. Errors: `:io`,
+  `:not_arrow`.
   """
   @spec columns(Path.t()) ::
           {:ok, %{columns: [String.t()], left_out: [{name :: String.t(), type :: String.t()}]}}
@@ -126,11 +131,12 @@ defmodule Situ.Bridge.Arrow do
   def columns(path), do: Columnar.columns(File, path)
 
   @doc """
-  The rows as a lazy enumerable of `{time, value}`. Memory is that of some rows; of a packed batch, that of its columns
-  that are wanted. Columns that are left out are logged. Raises `Situ.Error`: `:io`, `:not_arrow`, `:no_column`.
+  Returns the rows as a lazy enumerable of `{time, value}`. Memory holds only a few rows at a time, or the requested
+  columns of one batch if the batch is compressed. Skipped columns are logged. Raises `Situ.Error`: `:io`,
+  `:not_arrow`, `:no_column`.
 
-  Options: `time:` and `columns:` as `read/3`; `notice:`, a function that gets a sentence about columns, and about rows,
-  that are left out; by default it is logged as a warning.
+  Options: `time:` and `columns:` as in `read/3`; `notice:`, a function that receives a sentence about skipped columns
+  or rows. By default, these sentences are logged as warnings.
   """
   @spec messages(Path.t(), keyword()) :: Enumerable.t()
   def messages(path, opts \\ []), do: Columnar.messages(File, path, opts)

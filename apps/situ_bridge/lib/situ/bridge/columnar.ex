@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Columnar do
   @moduledoc false
-  # Messages as files of columns, and rows of such files as messages: what Parquet and Arrow share. The format is a
-  # writer (`Situ.Bridge.Columnar.Writer`) or a reader (`Situ.Bridge.Columnar.Reader`).
+  # The shared part of Parquet and Arrow: writes messages as files of columns, and reads the rows of such files as
+  # messages. The format is a writer (`Situ.Bridge.Columnar.Writer`) or a reader (`Situ.Bridge.Columnar.Reader`).
   alias Situ.Bridge.Columnar.{Column, Joined, Reader, Rows}
   alias Situ.{Error, Store}
   alias Situ.Store.Columns
@@ -12,7 +12,7 @@ defmodule Situ.Bridge.Columnar do
     %Column{name: "creation_time", kind: :time, optional?: false}
   ]
 
-  @doc "Writes streams of a recording into a folder, a file each, called by the stream and the extension."
+  @doc "Writes streams of a recording into a folder, one file per stream, named after the stream and the extension."
   @spec export(module(), Store.t(), Path.t(), extension :: String.t(), keyword()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
   def export(writer, store, folder, extension, opts) do
@@ -41,7 +41,7 @@ defmodule Situ.Bridge.Columnar do
     with {:error, reason} <- Elixir.File.mkdir_p(folder),
          do:
            {:error,
-            Error.new(:io, "cannot make #{folder}", why: to_string(:file.format_error(reason)))}
+            Error.new(:io, "cannot create #{folder}", why: to_string(:file.format_error(reason)))}
   end
 
   defp table?(store, info) do
@@ -52,14 +52,14 @@ defmodule Situ.Bridge.Columnar do
     end
   end
 
-  @doc "Writes one stream of a recording. Options besides the format's: those of `Store.messages/3`, `progress:`."
+  @doc "Writes one stream of a recording. Takes the options of the format and of `Store.messages/3`, and `progress:`."
   @spec write(module(), Store.t(), String.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def write(writer, store, name, path, opts) do
     {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
     {progress, opts} = Keyword.pop(opts, :progress, fn _rows -> :ok end)
 
-    # Messages that a live recording adds meanwhile may be of another kind, so the export ends at the last one now.
+    # A live recording may receive messages of another kind during the export, so the export ends at the current end.
     parts = Store.columns(store, name, Keyword.put_new(reading, :to, last(store, name)))
     write_parts(writer, parts, path, opts, progress)
   rescue
@@ -68,7 +68,7 @@ defmodule Situ.Bridge.Columnar do
     {:not_writable, what} -> not_writable(name, what)
   end
 
-  @doc "Writes lists of messages, which are gone through twice, into a file."
+  @doc "Writes lists of messages into a file; enumerates them twice."
   @spec write_messages(module(), Enumerable.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def write_messages(writer, parts, path, opts) do
@@ -79,7 +79,7 @@ defmodule Situ.Bridge.Columnar do
     {:not_writable, what} -> not_writable("the messages", what)
   end
 
-  @doc "Writes several streams of a recording as one table. Options: those of a join, and those of `write/5`."
+  @doc "Writes several streams of a recording as one table. Takes the options of a join and of `write/5`."
   @spec join(module(), Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def join(writer, store, path, opts) do
@@ -110,7 +110,8 @@ defmodule Situ.Bridge.Columnar do
   end
 
   defp not_writable(name, what) do
-    {:error, Error.new(:not_writable, "#{name} cannot be a table", why: inspect(what, limit: 5))}
+    {:error,
+     Error.new(:not_writable, "#{name} cannot be written as a table", why: inspect(what, limit: 5))}
   end
 
   defp write_parts(format, parts, path, opts, progress) do
@@ -140,8 +141,8 @@ defmodule Situ.Bridge.Columnar do
     end
   end
 
-  # Row groups: the values of each column, and how many rows. Numbers come as they are, others gather until there are
-  # enough for a group.
+  # Returns row groups: the values of each column, and the number of rows. Parts that are already columns of numbers
+  # are passed on directly; other messages are collected until they fill a group.
   defp groups(parts, columns, most) do
     parts
     |> Stream.concat([:end])
@@ -177,7 +178,7 @@ defmodule Situ.Bridge.Columnar do
     end
   end
 
-  # Numbers of one kind in a column of another.
+  # The part has numbers of one kind, the column another kind.
   defp plain(part, columns, most) do
     for part <- Columns.split(part, most) do
       creations = for <<time::little-signed-64 <- part.creation_times>>, do: time
@@ -194,14 +195,14 @@ defmodule Situ.Bridge.Columnar do
     error
   end
 
-  # A single column of plain values is by far the most frequent one.
+  # By far the most common case is a single column of plain values.
   defp values(messages, columns) do
     rows = for m <- messages, do: Rows.row(m.data, columns)
     times = [Enum.map(messages, & &1.originating_time), Enum.map(messages, & &1.creation_time)]
     times ++ if(columns == [], do: [], else: Enum.zip_with(rows, & &1))
   end
 
-  @doc "Returns the columns of a file, and those that are left out. Errors: those of the format."
+  @doc "Returns the columns of a file, and the columns that are skipped. Returns the errors of the format."
   @spec columns(module(), Path.t()) ::
           {:ok, %{columns: [String.t()], left_out: [{String.t(), String.t()}]}}
           | {:error, Error.t()}
@@ -212,8 +213,9 @@ defmodule Situ.Bridge.Columnar do
   end
 
   @doc """
-  Returns the rows as a lazy enumerable of `{time, value}`, read some at a time. Raises `Situ.Error`. Options besides
-  `time:` and `columns:`: `notice:`, a function that gets a sentence for each kind of thing that is left out.
+  Returns the rows as a lazy enumerable of `{time, value}`, read a few at a time. Raises `Situ.Error`. Options besides
+  `time:` and `columns:`: `notice:`, a function that receives a sentence about the skipped columns and one about the
+  skipped rows.
   """
   @spec messages(module(), Path.t(), keyword()) :: Enumerable.t()
   def messages(reader, path, opts) do
@@ -223,7 +225,7 @@ defmodule Situ.Bridge.Columnar do
     notice = opts[:notice] || fn sentence -> Logger.warning(sentence) end
 
     if opts[:columns] == nil and table.left_out != [],
-      do: notice.("#{path}: columns are left out: #{list_left_out(table)}")
+      do: notice.("#{path}: skipped the columns #{list_left_out(table)}")
 
     table.groups
     |> Stream.flat_map(&reader.stream_rows(table, &1, [time | wanted]))
@@ -242,15 +244,15 @@ defmodule Situ.Bridge.Columnar do
   defp take_row(_row, {last, left_out}, _wanted), do: {[], {last, left_out + 1}}
 
   defp report_rows({_last, left_out} = state, path, notice) do
-    why = "they have no time, or it is not later than the time of the row before"
-    if left_out > 0, do: notice.("#{path}: #{left_out} rows are left out: #{why}")
+    why = "they have no time, or it is not later than the time of the previous row"
+    if left_out > 0, do: notice.("#{path}: skipped #{left_out} rows: #{why}")
     {[], state}
   end
 
   defp list_left_out(table),
     do: Enum.map_join(table.left_out, ", ", fn {name, type} -> "#{name} (#{type})" end)
 
-  @doc "A source of a table's rows."
+  @doc "Adds a source with the rows of a table."
   @spec read(Situ.Pipeline.t(), Enumerable.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def read(p, messages, path, opts) do
     case Enum.take(messages, 1) do
@@ -258,7 +260,7 @@ defmodule Situ.Bridge.Columnar do
         Situ.from_enumerable(p, messages, [start: first] ++ Keyword.take(opts, [:type, :name]))
 
       [] ->
-        raise Error.new(:empty_file, "there is no row with a time in #{path}")
+        raise Error.new(:empty_file, "#{path} has no rows with a time")
     end
   end
 
@@ -279,13 +281,18 @@ defmodule Situ.Bridge.Columnar do
     type = with {_name, type} <- List.keyfind(table.left_out, name, 0), do: type
 
     cond do
-      column = column(table, name) -> column
-      type -> raise no_column(table, "#{name} that can be read", "its type, #{type}, is not read")
-      true -> raise no_column(table, inspect(name), nil)
+      column = column(table, name) ->
+        column
+
+      type ->
+        raise no_column(table, "#{name} that can be read", "its type, #{type}, is not supported")
+
+      true ->
+        raise no_column(table, inspect(name), nil)
     end
   end
 
-  # All columns but the times; a file without any other that can be read is an error.
+  # All columns except the times. A file whose other columns are all unreadable is an error.
   defp wanted(table, nil, time) do
     wanted =
       Enum.reject(table.columns, &(&1.name in [time.name, "originating_time", "creation_time"]))
@@ -298,7 +305,7 @@ defmodule Situ.Bridge.Columnar do
   defp wanted(table, names, _time), do: Enum.map(names, &fetch_column(table, &1))
 
   defp no_column(table, what, fix) do
-    left_out = if table.left_out != [], do: "; left out are #{list_left_out(table)}"
+    left_out = if table.left_out != [], do: "; skipped: #{list_left_out(table)}"
 
     Error.new(:no_column, "#{table.path} has no column of #{what}",
       why: "its columns are #{Enum.map_join(table.columns, ", ", & &1.name)}#{left_out}",

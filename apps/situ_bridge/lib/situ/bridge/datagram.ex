@@ -1,11 +1,11 @@
 defmodule Situ.Bridge.Datagram do
   @moduledoc """
-  Payloads of any size as datagrams (UDP) of at most so many bytes, and back.
+  Splits payloads of any size into datagrams (UDP) of a limited size, and joins them again.
 
-  A chunk is `<<set::little-signed-64, count::little-16, number::little-16>>`, filled up with zeros to 40 bytes, then
-  a part of the payload, as \\psi has it. Chunks may come in any order, twice, or not at all: a set that is not
-  complete when a later one is, or when #{16} later ones have begun, is abandoned and counted. With `new(open: 1)`, as
-  \\psi's receiver does it, any chunk of another set abandons the one that is open.
+  A chunk is `<<set::little-signed-64, count::little-16, number::little-16>>`, padded with zeros to 40 bytes and
+  followed by a part of the payload, the layout that \\psi uses. Chunks may arrive in any order, twice, or not at all.
+  An incomplete set is abandoned and counted when a later set is complete, or when #{16} later sets have begun. With
+  `new(open: 1)`, any chunk of another set abandons the open set, as in \\psi's receiver.
 
       iex> alias Situ.Bridge.Datagram
       iex> [one, two] = Datagram.chunks("hello", 7, 43)
@@ -23,7 +23,10 @@ defmodule Situ.Bridge.Datagram do
 
   @type t :: %__MODULE__{}
 
-  @doc "The payload's chunks, each at most `most` bytes. Raises `ArgumentError` when that takes more than 65,535."
+  @doc """
+  Splits the payload into chunks of at most `most` bytes. Raises `ArgumentError` if that takes more than 65,535
+  chunks.
+  """
   @spec chunks(binary(), integer(), pos_integer()) :: [binary()]
   def chunks(payload, set, most \\ 0xFFFE) when most > @header do
     parts = parts(payload, most - @header)
@@ -33,7 +36,7 @@ defmodule Situ.Bridge.Datagram do
       do:
         raise(
           ArgumentError,
-          "#{byte_size(payload)} bytes take #{count} datagrams; the most are #{@most}"
+          "#{byte_size(payload)} bytes take #{count} datagrams; the maximum is #{@most}"
         )
 
     for {part, number} <- Enum.with_index(parts),
@@ -47,11 +50,11 @@ defmodule Situ.Bridge.Datagram do
     [part | parts(rest, size)]
   end
 
-  @doc "Nothing received yet. `open:` is how many sets may be incomplete at once, 16 by default."
+  @doc "Returns an empty state. `open:` is the maximum number of incomplete sets, 16 by default."
   @spec new(keyword()) :: t()
   def new(opts \\ []), do: struct!(__MODULE__, Keyword.validate!(opts, [:open]))
 
-  @doc "One datagram: the payload that it completes, or `nil`. A datagram that is no chunk changes nothing."
+  @doc "Adds a datagram; returns the payload that it completes, or `nil`. Datagrams that are not chunks are ignored."
   @spec push(t(), binary()) :: {binary() | nil, t()}
   def push(
         state,
@@ -74,7 +77,7 @@ defmodule Situ.Bridge.Datagram do
     state = if is_map_key(state.sets, set), do: state, else: begin(state, set, count)
 
     case state.sets do
-      # Another count for the same set is noise.
+      # A chunk that gives a different count for the same set is noise.
       %{^set => {^count, parts}} -> complete(state, set, count, Map.put(parts, number, part))
       _ -> {nil, state}
     end

@@ -4,28 +4,29 @@ defmodule Situ.Bridge.File do
 
   @formats [:json, :json_lines, :csv, :message_pack, :situ]
   @write [
-    path: [type: :string, required: true, doc: "The file; an existing one is replaced."],
-    format: [type: {:in, @formats}, required: true, doc: "One of `Situ.Bridge.Format`'s."]
+    path: [type: :string, required: true, doc: "The file path; an existing file is replaced."],
+    format: [type: {:in, @formats}, required: true, doc: "A format of `Situ.Bridge.Format`."]
   ]
   @read [
-    format: [type: {:in, @formats}, required: true, doc: "One of `Situ.Bridge.Format`'s."],
+    format: [type: {:in, @formats}, required: true, doc: "A format of `Situ.Bridge.Format`."],
     objects: [
       type: {:in, [:maps, :pairs]},
       default: :maps,
-      doc: "How objects come, see `Situ.Bridge.Format`."
+      doc: "Whether objects are read as maps or as ordered pairs; see `Situ.Bridge.Format`."
     ],
-    type: [type: :any, default: :any, doc: "Type of the stream."],
+    type: [type: :any, default: :any, doc: "The type of the stream."],
     name: [type: :string, doc: "The component's name."]
   ]
 
   @moduledoc """
-  Streams to files that other programs read, and back: JSON, JSON lines, CSV, MessagePack (`Situ.Bridge.Format`).
+  Writes streams to files that other programs read, and reads such files: JSON, JSON lines, CSV, MessagePack
+  (`Situ.Bridge.Format`).
 
       Situ.Bridge.File.write(stream, "levels.csv", format: :csv)
       p |> Situ.Bridge.File.read("levels.json", format: :json) |> Situ.each(&IO.inspect/1)
 
-  Files are written and read piece by piece, whatever their length. The end of a file is written when the stream
-  closes, and messages written before a kill can be read. Named pipes are files too.
+  Files are written and read in chunks, so they may be of any length. The end of a file is written when the stream
+  closes; if the writer is killed, the messages written so far can still be read. Named pipes work, too.
 
   ## Options of `write/3`
 
@@ -43,8 +44,8 @@ defmodule Situ.Bridge.File do
   end
 
   @doc """
-  A source of the messages in a file, with their times; it proposes a replay from the first one on. A file without
-  messages is an error, `:empty_file`.
+  Adds a source with the messages of a file and their times; it proposes a replay that starts at the first message. A
+  file without messages is an error, `:empty_file`.
 
   #{Situ.Options.docs(@read)}
   """
@@ -56,7 +57,7 @@ defmodule Situ.Bridge.File do
   end
 
   @doc false
-  # A source of `{time, value}` that starts at the first one.
+  # Adds a source of `{time, value}` that starts at the first message.
   @spec replayed(Situ.Pipeline.t(), Enumerable.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def replayed(p, messages, path, opts \\ []) do
     case Enum.take(messages, 1) do
@@ -64,23 +65,23 @@ defmodule Situ.Bridge.File do
         Situ.from_enumerable(p, messages, [start: first] ++ opts)
 
       [] ->
-        raise Error.new(:empty_file, "there is no message in #{path}",
-                fix: "check that its writer wrote to it"
+        raise Error.new(:empty_file, "#{path} has no messages",
+                fix: "check that the program that writes the file wrote to it"
               )
     end
   end
 
-  @doc "The name that all bridges have for their way out: `write/3`."
+  @doc "Same as `write/3`: all bridges have a function `sink` that sends a stream."
   @spec sink(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def sink(stream, path, opts), do: write(stream, path, opts)
 
-  @doc "The name that all bridges have for their way in: `read/3`."
+  @doc "Same as `read/3`: all bridges have a function `source` that receives a stream."
   @spec source(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def source(p, path, opts), do: read(p, path, opts)
 
   @doc """
-  The messages of a file as a lazy enumerable of `{time, value}`; raises `Situ.Error` (`:io`, `:bad_file`) while it is
-  taken from.
+  Returns the messages of a file as a lazy enumerable of `{time, value}`. Enumerating it may raise `Situ.Error`
+  (`:io`, `:bad_file`).
   """
   @spec messages(Path.t(), Format.name(), keyword()) :: Enumerable.t()
   def messages(path, format, opts \\ []) do
@@ -131,7 +132,7 @@ defmodule Situ.Bridge.File do
   defp bad(path, at, why) do
     Error.new(:bad_file, "#{path} cannot be read",
       why: "#{why} (before byte #{at})",
-      fix: "check its format"
+      fix: "check that the file has the given format"
     )
   end
 
@@ -193,7 +194,7 @@ defmodule Situ.Bridge.File do
     result = :file.close(state.file)
 
     if result == {:error, :enospc},
-      do: raise(Error.new(:disk_full, "no room left on the disk of #{state.path}"))
+      do: raise(Error.new(:disk_full, "no space left on the disk of #{state.path}"))
 
     %{state | file: nil}
   end

@@ -1,18 +1,18 @@
 defmodule Situ.Bridge.Format do
   @moduledoc """
-  Messages as bytes that other programs read: one at a time (for a transport), or many in a file.
+  Encodes messages as bytes that other programs read: one at a time for a transport, or many in a file.
 
   | name | one message | a file |
   |---|---|---|
   | `:json` | `{"originatingTime":"2020-01-31T12:34:56.1234567Z","message":...}` | an array of them |
-  | `:json_lines` | the same | one a line |
-  | `:csv` | a heading and a record, `\\r\\n` behind each; `_OriginatingTime_` and `_Value_`, `_Column0_` ... or the fields | one heading, then records |
+  | `:json_lines` | the same | one per line |
+  | `:csv` | a heading and a record, each ending in `\\r\\n`; the columns are `_OriginatingTime_` and `_Value_`, `_Column0_` ... or the fields | one heading, then records |
   | `:message_pack` | a map of `message` and `originatingTime` (ticks of 100 ns since the year 1) | frames: a 32-bit length (little-endian) and a message; a length of 0 at the end |
-  | `:situ` | any value as stores have it, pictures, sound and arrays as they are: the time, a codec's name, bytes | frames as above |
+  | `:situ` | any value in the format of stores, including images, audio and arrays: the time, a codec's name, bytes | frames as above |
 
-  The layouts but `:situ` are those of \\psi, so that both read each other's files and sockets. Where \\psi has quirks,
-  this has the sensible answer: integers of any size, times that are always UTC, strings that look like dates stay
-  strings, an empty stream is a whole file, and nanoseconds that are no multiple of 100 survive.
+  All layouts except `:situ` are compatible with \\psi, so that both can read each other's files and sockets. Situ
+  avoids \\psi's quirks: integers may have any size, times are always UTC, strings that look like dates stay strings,
+  an empty stream is a complete file, and nanoseconds that are not a multiple of 100 are preserved.
 
       iex> alias Situ.Bridge.Format
       iex> {:ok, bytes} = Format.encode(:json, %{x: 1.5}, 0)
@@ -20,12 +20,12 @@ defmodule Situ.Bridge.Format do
       iex> Format.decode(:json, bytes)
       {:ok, {0, %{"x" => 1.5}}}
 
-  A CSV file has one heading, made of its first message: a member that a later one lacks is an empty field, one that the
-  heading lacks is an error.
+  A CSV file has one heading, made from its first message. Members that a later message lacks become empty fields;
+  members that the heading lacks are an error.
 
   Values are numbers, strings, booleans, `nil`, `:nan`, `:infinity`, `:neg_infinity`, lists, maps, structs (as maps of
-  their fields) and `{[{key, value}]}`, an object in a given order. Maps that are read have string keys, and reading
-  makes no atoms; with `objects: :pairs` objects come as such ordered ones.
+  their fields) and `{[{key, value}]}`, an object with ordered members. Reading returns maps with string keys and
+  creates no atoms; with `objects: :pairs` objects are returned as ordered pairs.
   """
   alias Situ.Bridge.Format.{Csv, Json, JsonLines, MessagePack}
   alias Situ.Error
@@ -34,27 +34,30 @@ defmodule Situ.Bridge.Format do
 
   @type name :: :json | :json_lines | :csv | :message_pack | :situ
   @type timed :: {Situ.Time.t(), value :: term()}
-  @typedoc "The unread rest of the bytes so far, and the format's state for a file."
+  @typedoc "The bytes that are not read yet, and the format's state for a file."
   @type rest :: {binary(), state :: term()}
 
-  @doc "One message by itself."
+  @doc "Encodes a single message."
   @callback encode(value :: term(), Situ.Time.t()) :: iodata()
-  @doc "Reads it back."
+  @doc "Decodes a single message."
   @callback decode(binary(), opts :: keyword()) :: {:ok, timed()} | {:error, String.t()}
-  @typedoc "A place in a file: how many records stand before it, and the names of a heading. 0 is the first."
+  @typedoc "A position in a file: the number of records before it, and the names of a heading. 0 is the beginning."
   @type place :: non_neg_integer() | {pos_integer(), [String.t()]}
 
-  @doc "A record of a file."
+  @doc "Encodes a record of a file."
   @callback record(value :: term(), Situ.Time.t(), place()) :: iodata()
-  @doc "The place behind the first record of a file, when there is a heading."
+  @doc "Returns the position after the first record of a file. Only formats with a heading implement it."
   @callback headed(value :: term()) :: place()
-  @doc "The records of plain numbers, where many at once are made in another way."
+  @doc "Encodes the records of plain numbers; for formats that can encode many of them faster in one call."
   @callback columns(Situ.Store.Columns.t(), place()) :: iodata()
-  @doc "The end of a file."
+  @doc "Returns the end of a file."
   @callback finish(place()) :: iodata()
-  @doc "State before the first byte of a file."
+  @doc "Returns the state before the first byte of a file."
   @callback start() :: term()
-  @doc "The whole records in `bytes` (with `last?` they are the file's last) and what is left for the next call."
+  @doc """
+  Splits `bytes` into complete records and the rest for the next call. With `last?`, the bytes are the last of the
+  file.
+  """
   @callback split(bytes :: binary(), state :: term(), last? :: boolean(), opts :: keyword()) ::
               {:ok, [timed()], rest()} | {:error, String.t()}
 
@@ -68,18 +71,18 @@ defmodule Situ.Bridge.Format do
     situ: Format.Situ
   }
 
-  @doc "The names of all formats."
+  @doc "Returns the names of all formats."
   @spec names() :: [name()]
   def names, do: Map.keys(@modules)
 
-  @doc "The format's module; raises `ArgumentError` for another name."
+  @doc "Returns the format's module; raises `ArgumentError` for an unknown name."
   @spec module!(name()) :: module()
   def module!(name) do
     Map.get(@modules, name) ||
-      raise ArgumentError, "no format #{inspect(name)}; there are #{inspect(names())}"
+      raise ArgumentError, "unknown format #{inspect(name)}; the formats are #{inspect(names())}"
   end
 
-  @doc "One message as bytes. Error: `:not_writable` when the value is none that the format has."
+  @doc "Encodes one message. Error: `:not_writable` if the format cannot represent the value."
   @spec encode(name(), value :: term(), Situ.Time.t()) :: {:ok, binary()} | {:error, Error.t()}
   def encode(name, value, time) do
     {:ok, name |> module!() |> apply(:encode, [value, time]) |> IO.iodata_to_binary()}
@@ -88,8 +91,9 @@ defmodule Situ.Bridge.Format do
   end
 
   @doc """
-  The records of a part of a stream (`Situ.Store.columns/3`) at a place of a file, and the place behind them. Raises a
-  `Situ.Error`, `:not_writable`, for a value that the format does not have, or its heading has no column for.
+  Encodes a part of a stream (`Situ.Store.columns/3`) at a position of a file; returns the records and the position
+  after them. Raises `Situ.Error` (`:not_writable`) if the format cannot represent a value or the heading has no
+  column for it.
   """
   @spec records(name(), Columns.t() | [Situ.Message.t()], place()) :: {iodata(), place()}
   def records(name, part, place) do
@@ -129,19 +133,19 @@ defmodule Situ.Bridge.Format do
 
   defp behind(_module, _value, n, more), do: n + more
 
-  @doc "How many records stand before a place."
+  @doc "Returns the number of records before a position."
   @spec count(place()) :: non_neg_integer()
   def count({n, _names}), do: n
   def count(n), do: n
 
-  @doc "The time and the value of one message. Option: `objects: :maps | :pairs`. Error: `:bad_message`."
+  @doc "Decodes one message into its time and value. Option: `objects: :maps | :pairs`. Error: `:bad_message`."
   @spec decode(name(), binary(), keyword()) :: {:ok, timed()} | {:error, Error.t()}
   def decode(name, bytes, opts \\ []) do
     with {:error, why} <- module!(name).decode(bytes, opts) do
       {:error,
-       Error.new(:bad_message, "#{byte_size(bytes)} bytes are no #{name} message",
+       Error.new(:bad_message, "#{byte_size(bytes)} bytes are not a #{name} message",
          why: why,
-         fix: "check that sender and receiver use the same format"
+         fix: "check that the sender and the receiver use the same format"
        )}
     end
   end
@@ -149,7 +153,7 @@ defmodule Situ.Bridge.Format do
   @doc false
   def not_writable(name, {:no_column, column, value}) do
     Error.new(:not_writable, "#{inspect(value, limit: 5)} cannot be written as #{name}",
-      why: "the heading, made of the first message, has no column #{inspect(column)}",
+      why: "the heading, made from the first message, has no column #{inspect(column)}",
       fix: "write JSON lines or Parquet, or map the stream to messages that have all members"
     )
   end

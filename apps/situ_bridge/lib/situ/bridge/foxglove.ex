@@ -1,29 +1,38 @@
 defmodule Situ.Bridge.Foxglove do
   @schema [
-    port: [type: {:integer, 0, 65_535}, default: 8_765, doc: "Foxglove's own default; 0: any."],
-    interface: [type: :string, default: "127.0.0.1", doc: "Where to listen; \"*\": everywhere."],
-    name: [type: :string, doc: "The server's name; else the recording's."],
+    port: [
+      type: {:integer, 0, 65_535},
+      default: 8_765,
+      doc: "The port, by default Foxglove's; 0: any free port."
+    ],
+    interface: [
+      type: :string,
+      default: "127.0.0.1",
+      doc: "The address to listen on; \"*\": all interfaces."
+    ],
+    name: [type: :string, doc: "The server's name; by default the recording's name."],
     origins: [
       type: {:list, :string},
       default: ["https://app.foxglove.dev"],
-      doc: "Pages of these sites may connect; those of this machine always may."
+      doc: "The sites whose pages may connect. Pages of this machine may always connect."
     ]
   ]
   @moduledoc """
-  Recordings for Foxglove and whatever else speaks its WebSocket protocol, also while they are written.
+  Serves recordings to Foxglove and other programs that use its WebSocket protocol, even while they are being written.
 
       {:ok, server} = Situ.Bridge.Foxglove.serve("recordings/lobby")
       # In Foxglove: open a connection to ws://localhost:8765
 
-  Every stream with messages is a channel: pictures, clouds, poses and other standard things as ROS's messages
-  (`Situ.Bridge.Ros.Standard`), all else as JSON. Each client has a playback of its own, which begins at once: it
-  pauses, seeks and changes its speed by the app's own controls (protocol `foxglove.sdk.v1`) or by the parameters
-  `situ.paused`, `situ.speed` and `situ.position` (seconds; `foxglove.websocket.v1`). A subscriber begins with the
-  message that holds there, and so does every seek. Of a recording that is being written clients get what is new.
+  Every stream with messages is a channel. Images, point clouds, poses and other standard types are sent as ROS
+  messages (`Situ.Bridge.Ros.Standard`), all other types as JSON. Each client has its own playback, which starts
+  immediately. The client pauses, seeks and changes the speed with the app's own controls (protocol `foxglove.sdk.v1`)
+  or with the parameters `situ.paused`, `situ.speed` and `situ.position` (seconds; `foxglove.websocket.v1`). After
+  subscribing and after each seek, a client first gets the message that is current at that position. If the recording
+  is still being written, clients also get its new messages.
 
-  A slow client slows down its own playback, and nothing else: nothing is left out, and no more than a few megabytes
-  wait for it. The web server of the studio answers no subprotocol, which Foxglove asks for; therefore this has a port
-  of its own.
+  A slow client slows down only its own playback. No messages are dropped, and at most a few megabytes are buffered
+  for it. Foxglove requires a WebSocket subprotocol, which the web server of the studio does not support, so this
+  server needs a separate port.
 
   ## Options of `serve/2`
 
@@ -64,10 +73,11 @@ defmodule Situ.Bridge.Foxglove do
     end
   end
 
-  @doc "The port that it listens on."
+  @doc "Returns the port that the server listens on."
   @spec port(pid()) :: :inet.port_number()
   def port(server), do: GenServer.call(server, :port)
 
+  @doc "Stops the server."
   @spec stop(pid()) :: :ok
   def stop(server), do: GenServer.stop(server)
 
@@ -101,7 +111,7 @@ defmodule Situ.Bridge.Foxglove do
       else: {:stop, reason, state}
   end
 
-  # Links would not take them along when it ends well.
+  # A normal exit of the server would not terminate the linked clients.
   @impl true
   def terminate(_reason, state) do
     for client <- state.clients, do: Process.exit(client, :shutdown)

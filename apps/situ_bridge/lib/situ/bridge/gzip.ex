@@ -1,9 +1,11 @@
 defmodule Situ.Bridge.Gzip do
   @moduledoc false
-  # Unpacks gzip step by step, to at most so many bytes: few packed bytes must not become all of the memory. Several
-  # members one after the other are one text (RFC 1952).
+  # Unpacks gzip step by step up to a size limit, so that a small input cannot fill the memory. Several members in a
+  # row are unpacked as one text (RFC 1952).
 
   @doc """
+  Unpacks gzip into at most `most` bytes.
+
       iex> packed = :zlib.gzip("aaaaaaaaaa")
       iex> {Situ.Bridge.Gzip.unpack(packed, 10), Situ.Bridge.Gzip.unpack(packed, 9)}
       {{:ok, "aaaaaaaaaa"}, {:error, :too_large}}

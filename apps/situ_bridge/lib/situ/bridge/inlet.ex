@@ -1,44 +1,44 @@
 defmodule Situ.Bridge.Inlet do
   @moduledoc false
-  # The common part of all network sources: it decodes payloads by the format, gives each message a time, and keeps
-  # the times of the stream increasing. No payload from outside stops a pipeline: unusable ones are left out and
-  # counted. Pure.
+  # The common part of all network sources: decodes payloads, assigns a time to each message, and keeps the times of
+  # the stream increasing. Payloads from outside never stop a pipeline: unusable payloads are dropped and counted.
+  # Pure.
   alias Situ.Bridge.Format
 
   @options [
     format: [
       type: {:in, [:json, :csv, :message_pack, :situ, :raw]},
       default: :json,
-      doc: "How messages are written (`Situ.Bridge.Format`); `:raw`: the bytes as they are."
+      doc: "The format of messages (`Situ.Bridge.Format`); `:raw`: unchanged bytes."
     ],
     times: [
       type: {:in, [:sender, :arrival]},
       default: :sender,
-      doc: "Originating times: the sender's, or when a message arrives (always with `:raw`)."
+      doc: "Originating times: the sender's times, or the times of arrival (always with `:raw`)."
     ],
     objects: [
       type: {:in, [:maps, :pairs]},
       default: :maps,
-      doc: "How objects come, see `Situ.Bridge.Format`."
+      doc: "Whether objects are read as maps or as ordered pairs; see `Situ.Bridge.Format`."
     ],
-    type: [type: :any, default: :any, doc: "Type of the stream."]
+    type: [type: :any, default: :any, doc: "The type of the stream."]
   ]
 
   defstruct [:format, :times, :opts, :last, :trouble, taken: 0, unreadable: 0, late: 0]
   @type t :: %__MODULE__{}
 
-  @doc "The options that all such sources have."
+  @doc "Returns the options that all network sources have."
   def options, do: @options
 
   @spec new(keyword()) :: t()
   def new(opts),
     do: %__MODULE__{format: opts[:format], times: opts[:times], opts: [objects: opts[:objects]]}
 
-  @doc "The messages as `{:out, time, value}`, and why the last one left out was."
+  @doc "Decodes payloads into messages `{:out, time, value}`; the inlet keeps the error of the last dropped payload."
   @spec take(t(), [binary()], now :: Situ.Time.t()) :: {[tuple()], t()}
   def take(inlet, payloads, now), do: take_read(inlet, Enum.map(payloads, &read(inlet, &1, now)))
 
-  @doc "As `take/3`, of what was read already: `{:ok, {time, sender's?, value}}`, or why there is none."
+  @doc "Same as `take/3` for decoded messages: `{:ok, {time, sender's?, value}}`, or `{:error, error}`."
   @spec take_read(t(), [{:ok, {Situ.Time.t(), boolean(), term()}} | {:error, term()}]) ::
           {[tuple()], t()}
   def take_read(inlet, read) do
@@ -59,7 +59,8 @@ defmodule Situ.Bridge.Inlet do
     end
   end
 
-  # Two may arrive within one reading of the clock; a sender's own times are its own fault.
+  # Several messages may arrive at one clock reading, so arrival times are shifted; the sender's times are not
+  # changed.
   defp timed(time, own?, value, found, inlet) do
     cond do
       inlet.last == nil or time > inlet.last -> post(time, value, found, inlet)
@@ -71,9 +72,9 @@ defmodule Situ.Bridge.Inlet do
   defp post(time, value, found, inlet),
     do: {[{:out, time, value} | found], %{inlet | last: time, taken: inlet.taken + 1}}
 
-  @doc "One line for people."
+  @doc "Describes the inlet in one line."
   @spec describe(t()) :: String.t()
   def describe(inlet),
     do:
-      "#{inlet.taken} messages, #{inlet.unreadable} unreadable, #{inlet.late} not later than the one before"
+      "#{inlet.taken} messages, #{inlet.unreadable} unreadable, #{inlet.late} not later than the previous message"
 end

@@ -10,16 +10,16 @@ defmodule Situ.Bridge.Mcap do
               type: {:in, [:log, :publish, :header]},
               default: :log,
               doc:
-                "Originating times: when a message was recorded (`:log`; the index has them), sent (`:publish`), or " <>
-                  "the stamp of its ROS header (`:header`, the log time for messages without one). " <>
-                  "The last two look at every message of a stream when it is first used."
+                "Originating times: when a message was recorded (`:log`; the index has these times), when it was " <>
+                  "sent (`:publish`), or the stamp of its ROS header (`:header`; the log time for messages without " <>
+                  "one). `:publish` and `:header` scan all messages of a stream on its first use."
             ]
           ] ++ Codec.options()
 
   @moduledoc """
-  MCAP files (https://mcap.dev) as recordings: `Situ.Store.open("drive.mcap")`, and so in the studio, `bin/situ
-  store`, replay in a pipeline. Written by `create/3` and `write/4` while a pipeline runs, or from a recording by
-  `export/3`.
+  Opens MCAP files (https://mcap.dev) as recordings: `Situ.Store.open("drive.mcap")`; they also work in the studio, in
+  `bin/situ store` and for replay in a pipeline. `create/3` and `write/4` write MCAP files while a pipeline runs,
+  `export/3` writes them from a recording.
 
       {:ok, store} = Situ.Store.open("drive.mcap")
       {:ok, message} = Situ.Store.latest_at(store, "/camera/image_raw", time)
@@ -27,14 +27,14 @@ defmodule Situ.Bridge.Mcap do
       drive = Situ.Bridge.Mcap.create(p, "drive.mcap")
       Situ.Bridge.Mcap.write(level, drive, "/level")
 
-  A topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR), Protobuf and JSON; those of
-  other encodings are bytes, and `Situ.Store.info/1` notes that. Standard messages of ROS and of Foxglove are Situ's
-  types (`Situ.Bridge.Ros.Standard`, `Situ.Bridge.Foxglove.Standard`), others maps. Two messages of a topic with one
-  time are a nanosecond apart.
+  A topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR), Protobuf and JSON. Messages
+  in other encodings are bytes, and `Situ.Store.info/1` notes that. Standard messages of ROS and of Foxglove become
+  Situ's types (`Situ.Bridge.Ros.Standard`, `Situ.Bridge.Foxglove.Standard`), other messages become maps. If two
+  messages of a topic have the same time, the second one is moved by a nanosecond.
 
-  Files with an index open at once, whatever their size; others (and files cut short, or whose writer was killed) are
-  passed over, and what can be read is there. Chunks may be LZ4 or Zstandard. Attachments and metadata:
-  `attachments/1`, `attachment/2`, `Situ.Store.info/1`.
+  Files with an index open immediately, whatever their size. Other files, including truncated files and files whose
+  writer was killed, are scanned, and all readable messages are available. Chunks may be compressed with LZ4 or
+  Zstandard. For attachments and metadata, see `attachments/1`, `attachment/2` and `Situ.Store.info/1`.
 
   ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
 
@@ -53,7 +53,7 @@ defmodule Situ.Bridge.Mcap do
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, ref} <- Failure.wrap(Native.mcap_open(path), path) do
-      # Without an index the file can still be read, with a wrong one it cannot.
+      # If the index is damaged, the file is opened again and scanned without it.
       with {:error, %{code: :damaged} = error} <- open(path, ref, opts),
            {:ok, ref} <-
              Failure.wrap(Native.mcap_open_without_index(path, "(#{error.why})"), path),
@@ -89,7 +89,8 @@ defmodule Situ.Bridge.Mcap do
     end
   end
 
-  # A stream is a topic: several channels of one topic (a recorder that was restarted) get a number after the name.
+  # A stream is a topic. If several channels share a topic (after a restart of the recorder), their names are
+  # numbered.
   defp channels(state, channels, schemas) do
     Enum.reduce_while(channels, {:ok, []}, fn {id, topic, encoding, schema, metadata, _count},
                                               {:ok, known} ->
@@ -240,13 +241,13 @@ defmodule Situ.Bridge.Mcap do
   defdelegate import_options(times), to: Codec
 
   @doc false
-  # For `Situ.Bridge.Recorder.Export`: everything that is in a message.
+  # For `Situ.Bridge.Recorder.Export`: messages are decoded to maps with all fields.
   def as_maps(%__MODULE__{channels: channels} = state) do
     maps = Map.new(channels, fn {id, c} -> {id, %{c | codec: Codec.shaped(c.codec, :maps)}} end)
     %{state | channels: maps}
   end
 
-  @doc "The attachments of an opened file: name, media type, time (ns) and size of each."
+  @doc "Returns the attachments of an opened file: the name, media type, time (ns) and size of each."
   @spec attachments(Situ.Store.t()) :: [
           %{
             name: String.t(),
@@ -261,8 +262,9 @@ defmodule Situ.Bridge.Mcap do
   end
 
   @doc """
-  The chunks of an opened file, in its order: where each lies (`offset`), the bytes of its record (`size`), how it is
-  compressed (`""`: not at all), the bytes of its data `packed` and `unpacked`, the times of its first and last message.
+  Returns the chunks of an opened file, in file order: the `offset` and `size` of each record, its `compression`
+  (`""`: none), the number of compressed (`packed`) and uncompressed (`unpacked`) bytes of its data, and the times of
+  its first and last message.
   """
   @spec chunks(Situ.Store.t()) :: [
           %{
@@ -290,8 +292,8 @@ defmodule Situ.Bridge.Mcap do
   end
 
   @doc """
-  The channels of an opened file: id, topic, the messages' encoding, the name of their schema, their number, and the
-  writer's metadata.
+  Returns the channels of an opened file: the id, the topic, the encoding of the messages, the name of their schema,
+  the number of messages, and the writer's metadata.
   """
   @spec channels(Situ.Store.t()) :: [
           %{
@@ -319,7 +321,7 @@ defmodule Situ.Bridge.Mcap do
     end
   end
 
-  @doc "The schemas of an opened file: id, name, the language they are written in, and the definition."
+  @doc "Returns the schemas of an opened file: the id, the name, the schema language (`encoding`), and the definition."
   @spec schemas(Situ.Store.t()) :: [
           %{id: non_neg_integer(), name: String.t(), encoding: String.t(), definition: binary()}
         ]
@@ -331,8 +333,8 @@ defmodule Situ.Bridge.Mcap do
   end
 
   @doc """
-  The bytes of each topic's messages, unpacked: `{:ok, %{topic => bytes}}`. Reads the whole file. Messages outside of
-  chunks are not counted.
+  Sums the uncompressed bytes of each topic's messages: `{:ok, %{topic => bytes}}`. Reads the whole file. Messages
+  outside chunks are not counted.
   """
   @spec sizes(Situ.Store.t()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
@@ -341,7 +343,7 @@ defmodule Situ.Bridge.Mcap do
     Sizes.sum(state, 0, topics, Map.new(topics, fn {_, topic} -> {topic, 0} end))
   end
 
-  @doc "The bytes of the first attachment of this name. Error: `:no_attachment`."
+  @doc "Returns the bytes of the first attachment with this name. Error: `:no_attachment`."
   @spec attachment(Situ.Store.t(), String.t()) :: {:ok, binary()} | {:error, Error.t()}
   def attachment(%Situ.Store.Handle{state: %__MODULE__{} = state}, name) do
     case Enum.find(state.info.attachments, &(elem(&1, 0) == name)) do
@@ -356,7 +358,7 @@ defmodule Situ.Bridge.Mcap do
   # Writing
 
   @doc """
-  During `build`: an MCAP file that the pipeline writes.
+  Creates an MCAP file that the pipeline writes; call it during `build`.
 
   #{Situ.Options.docs(Situ.Bridge.Mcap.Options.file())}
   """
@@ -372,12 +374,12 @@ defmodule Situ.Bridge.Mcap do
   defdelegate write(stream, exporter, topic, opts \\ []), to: Exporter
 
   @doc """
-  Writes a recording to a new MCAP file: `{:ok, count}`. Options as `create/3`, and `streams:`, the names of those
-  wanted, `encoding:` as `write/4`, `from:`, `to:` and `skip_damage:` as `Situ.Store.messages/3`, and `progress:`, a
-  function of the messages written so far.
+  Writes a recording to a new MCAP file and returns `{:ok, count}`. Takes the options of `create/3`, and `streams:`,
+  the names of the streams to write; `encoding:` as in `write/4`; `from:`, `to:` and `skip_damage:` as in
+  `Situ.Store.messages/3`; and `progress:`, a function that receives the number of messages written so far.
 
-  The messages of an MCAP file go as they are (`copy/3`) where no encoding is asked for; those of other recordings
-  are encoded, in order of time.
+  If the recording is an MCAP file and no encoding is given, its messages are copied unchanged (`copy/3`). Messages of
+  other recordings are encoded, in order of time.
   """
   @spec export(Situ.Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
@@ -392,10 +394,10 @@ defmodule Situ.Bridge.Mcap do
   def export(store, path, opts), do: Export.export(Writer, store, path, opts)
 
   @doc """
-  Copies an opened MCAP file into a new one, byte for byte: messages with both their times and sequence numbers,
-  schemas, channels with their metadata, attachments, records of metadata, the header, also those that Situ cannot
-  interpret. `metadata:` replaces records of the same names.
-  `left_out` says in sentences what could not be read (with `skip_damage: true`) or has no place.
+  Copies an opened MCAP file into a new file, byte for byte: messages with both their times and sequence numbers,
+  schemas, channels with their metadata, attachments, metadata records and the header, including data that Situ cannot
+  interpret. `metadata:` replaces records with the same names. `left_out` lists in sentences the data that could not
+  be read (with `skip_damage: true`) or that the new file cannot hold.
 
   #{Situ.Options.docs(Copy.options())}
   """

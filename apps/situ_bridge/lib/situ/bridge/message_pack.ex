@@ -1,23 +1,24 @@
 defmodule Situ.Bridge.MessagePack do
   @moduledoc """
-  MessagePack (https://github.com/msgpack/msgpack/blob/master/spec.md), whole: any term of numbers, strings, booleans,
-  `nil`, lists and maps as bytes and back.
+  Encodes and decodes MessagePack (https://github.com/msgpack/msgpack/blob/master/spec.md), all of it: any term made
+  of numbers, strings, booleans, `nil`, lists and maps.
 
       iex> alias Situ.Bridge.MessagePack
       iex> bytes = MessagePack.encode(%{"x" => [1, -2.5, nil, true]}) |> IO.iodata_to_binary()
       iex> MessagePack.decode(bytes)
       {:ok, %{"x" => [1, -2.5, nil, true]}, ""}
 
-  A valid UTF-8 string is a `str`, other bytes are a `bin`, atoms (but `nil`, `true`, `false`) strings; `:nan`,
-  `:infinity` and `:neg_infinity` floats. Integers go from -2^63 to 2^64-1. Extensions come as `{:ext, type, bytes}`;
-  the timestamp extension as nanoseconds since 1970, `{:timestamp, ns}`. Objects of maps may be ordered: `{[{key,
-  value}]}`. Reading is bounded by the bytes there are, 512 levels deep, and makes no atoms.
+  A valid UTF-8 string is encoded as a `str`, any other binary as a `bin`, and atoms (except `nil`, `true`, `false`)
+  as strings; `:nan`, `:infinity` and `:neg_infinity` are floats. Integers range from -2^63 to 2^64-1. Extensions are
+  `{:ext, type, bytes}`, and the timestamp extension is `{:timestamp, ns}`, in nanoseconds since 1970. The entries of
+  a map may be ordered: `{[{key, value}]}`. Decoding is bounded by the size of the input and 512 levels of nesting,
+  and creates no atoms.
   """
   import Situ.Bits, only: [known: 1]
 
   @deepest 512
 
-  @doc "The term as bytes. Throws `{:not_writable, term}` for what MessagePack has not."
+  @doc "Encodes a term. Throws `{:not_writable, term}` for terms that MessagePack cannot represent."
   @spec encode(term()) :: iodata()
   def encode(nil), do: <<0xC0>>
   def encode(false), do: <<0xC2>>
@@ -105,7 +106,7 @@ defmodule Situ.Bridge.MessagePack do
     <<0xC7, 12, -1::signed-8, Integer.mod(ns, 1_000_000_000)::32, seconds::signed-64>>
   end
 
-  @doc "The first value and what follows it, or why there is none. Option: `objects: :maps | :pairs`."
+  @doc "Decodes the first value; also returns the remaining bytes. Option: `objects: :maps | :pairs`."
   @spec decode(binary(), keyword()) :: {:ok, term(), binary()} | {:error, String.t()}
   def decode(bytes, opts \\ []) do
     {value, rest} = value(bytes, 0, opts[:objects] == :pairs)
@@ -154,7 +155,7 @@ defmodule Situ.Bridge.MessagePack do
   defp value(<<0xDE, n::16, rest::binary>>, d, p), do: object(n, rest, d, p)
   defp value(<<0xDF, n::32, rest::binary>>, d, p), do: object(n, rest, d, p)
   defp value(<<0b111::3, n::5, rest::binary>>, _, _), do: {n - 32, rest}
-  defp value(<<0xC1, _::binary>>, _, _), do: fail("the byte 0xC1 begins nothing")
+  defp value(<<0xC1, _::binary>>, _, _), do: fail("the byte 0xC1 is not used in MessagePack")
   defp value(_short, _, _), do: fail("it ends within a value")
 
   defp special(_sign, mantissa) when mantissa != 0, do: :nan
@@ -164,19 +165,19 @@ defmodule Situ.Bridge.MessagePack do
   defp take(n, bytes) do
     case bytes do
       <<taken::binary-known(n), rest::binary>> -> {:binary.copy(taken), rest}
-      _ -> fail("it ends within #{n} bytes")
+      _ -> fail("it ends within a value of #{n} bytes")
     end
   end
 
-  # Each element takes a byte at least: a count beyond that is a lie.
+  # Each element takes at least one byte, so a larger count is invalid.
   defp list(n, bytes, _depth, _pairs?) when n > byte_size(bytes),
-    do: fail("a list of #{n} in #{byte_size(bytes)} bytes")
+    do: fail("a list of #{n} elements in #{byte_size(bytes)} bytes")
 
   defp list(n, bytes, depth, pairs?),
     do: Enum.map_reduce(1..n//1, bytes, fn _, rest -> value(rest, depth + 1, pairs?) end)
 
   defp object(n, bytes, _depth, _pairs?) when 2 * n > byte_size(bytes),
-    do: fail("a map of #{n} in #{byte_size(bytes)} bytes")
+    do: fail("a map of #{n} entries in #{byte_size(bytes)} bytes")
 
   defp object(n, bytes, depth, pairs?) do
     {pairs, rest} =

@@ -6,48 +6,50 @@ defmodule Situ.Bridge.Mqtt do
     port: [
       type: {:optional, {:integer, 1, 65_535}},
       default: nil,
-      doc: "The broker's port (default: 1883, with TLS 8883)."
+      doc: "The broker's port; by default 1883, or 8883 with TLS."
     ],
     qos: [
       type: {:in, [0, 1]},
       default: 1,
-      doc: "1: messages are acknowledged, and come again where that was lost; 0: they are not."
+      doc:
+        "1: messages are acknowledged, and sent again if the acknowledgement is lost; 0: no acknowledgement."
     ],
     session: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "A name under which the broker keeps (with `qos: 1`) what this subscriber misses while it is away."
+        "A session name; with `qos: 1`, the broker keeps messages that the subscriber misses while disconnected."
     ],
-    username: [type: {:optional, :string}, default: nil, doc: "As whom to log in."],
+    username: [type: {:optional, :string}, default: nil, doc: "The user name for the login."],
     password: [
       type: {:optional, {:or, [:string, {:fun, 0}]}},
       default: nil,
       doc:
-        "The password, or a function that returns it. Neither the graph nor the state of a process shows it."
+        "The password, or a function that returns it. It is hidden in the graph and in the states of processes."
     ]
   ]
   @schema @own ++ Net.Dial.options()
   @moduledoc """
-  MQTT 3.1.1: topics of any broker (mosquitto, NATS, EMQX ...) as streams, and streams as topics.
+  Connects streams with MQTT 3.1.1: subscribes to topics of any broker (mosquitto, NATS, EMQX ...), and publishes
+  streams on topics.
 
       Situ.Bridge.Mqtt.publish(levels, "broker", "lab/level")
       levels = Situ.Bridge.Mqtt.subscribe(p, "broker", "lab/level")
       raw = Situ.Bridge.Mqtt.subscribe(p, "broker", "sensors/+/temperature", format: :raw)
 
-  Messages are in a format of `Situ.Bridge.Format`, whose originating times go along; with `format: :raw` they are the
-  bytes as they are, and their time is that of arrival. Filters may have `+` and `#`; those of several topics come as
-  one stream.
+  Messages are in a format of `Situ.Bridge.Format`, which includes their originating times. With `format: :raw`
+  messages are unchanged bytes, and their originating time is the time of arrival. Filters may contain `+` and `#`;
+  the messages of all matching topics arrive as one stream.
 
-  A broker that is not there yet is waited for, and one that was restarted is found again, after 50 ms to 5 s. With
-  `qos: 1` (the default) a publisher keeps what the broker has not acknowledged, at most `high_water_mark:` messages,
-  and then makes the stream wait; with `qos: 0` what is sent while there is no broker is lost, and counted. Messages
-  that cannot be read, or whose times do not increase (they came again), are left out and counted
-  (`Situ.Pipeline.info/1`). A subscription is endless.
+  If the broker is unavailable or restarts, the client reconnects after 50 ms to 5 s. With `qos: 1` (the default) a
+  publisher keeps unacknowledged messages, at most `high_water_mark:`, and then makes the stream wait. With `qos: 0`
+  messages sent without a connection are lost and counted. Messages that cannot be read, or whose times do not
+  increase (because they were delivered again), are dropped and counted (`Situ.Pipeline.info/1`). A subscription never
+  ends.
 
-  Over other networks than one's own take TLS: `tls: true`, or `tls: [authorities: "ca.pem"]` for a broker with a
-  certificate of one's own authority. A broker whose certificate is not good is not spoken with; that is logged, and
-  tried again.
+  Use TLS on networks that you do not control: `tls: true`, or `tls: [authorities: "ca.pem"]` if the broker's
+  certificate is signed by a private authority. If the certificate is invalid, the connection is refused, the error is
+  logged, and the client tries again.
   """
 
   @doc """
@@ -62,7 +64,7 @@ defmodule Situ.Bridge.Mqtt do
   end
 
   @doc """
-  A source of the messages of a topic or filter.
+  Adds a source with the messages of a topic or filter.
 
   #{Situ.Options.docs(@schema)}
 
@@ -78,7 +80,7 @@ defmodule Situ.Bridge.Mqtt do
     Net.Source.connect(p, {Subscription, arg}, host, port, [tls: own[:tls]] ++ opts)
   end
 
-  # Options go into the graph and into the states of processes, which logs and observers show.
+  # Options are part of the graph and of process states, which logs and observers show.
   defp hide_password(opts) do
     case opts[:password] do
       password when is_binary(password) -> Keyword.put(opts, :password, fn -> password end)
@@ -86,11 +88,11 @@ defmodule Situ.Bridge.Mqtt do
     end
   end
 
-  @doc "The name that all bridges have for their way out: `publish/4`."
+  @doc "Same as `publish/4`: all bridges have a function `sink` that sends a stream."
   @spec sink(Situ.Stream.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
   def sink(stream, host, topic, opts \\ []), do: publish(stream, host, topic, opts)
 
-  @doc "The name that all bridges have for their way in: `subscribe/4`."
+  @doc "Same as `subscribe/4`: all bridges have a function `source` that receives a stream."
   @spec source(Situ.Pipeline.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
   def source(p, host, topic, opts \\ []), do: subscribe(p, host, topic, opts)
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Native do
   @moduledoc false
-  # The functions of native/situ_bridge_nif. Everything else talks to `Situ.Bridge.Mcap` and
-  # `Situ.Bridge.Format`.
+  # The functions of native/situ_bridge_nif. They are called only through the modules of this application, such as
+  # `Situ.Bridge.Mcap` and `Situ.Bridge.Format`.
 
   @on_load :load
 

@@ -1,23 +1,23 @@
 defmodule Situ.Bridge.Outlet do
   @moduledoc false
-  # The common part of all network sinks: it encodes messages by the format, waits for peers if asked to, makes the
-  # stream wait while no peer has room, and lingers at the end. `use Situ.Bridge.Outlet` in a component whose state is
-  # an outlet gives it all callbacks but the first ones. The counterpart of `Situ.Bridge.Inlet`.
+  # The common part of all network sinks: encodes messages by the format, waits for peers if requested, makes the
+  # stream wait while no peer has room, and lingers at the end. `use Situ.Bridge.Outlet` defines all callbacks except
+  # the first ones in a component whose state is an outlet. The counterpart of `Situ.Bridge.Inlet`.
   alias Situ.Bridge.Format
   alias Situ.Error
 
-  @typedoc "Who has the peers, as the door knows it."
+  @typedoc "The server that holds the connections to the peers; opaque to the outlet."
   @type server :: term()
 
-  @doc "How many peers want to have messages."
+  @doc "Returns the number of peers that are ready to receive messages."
   @callback ready(server()) :: non_neg_integer()
-  @doc "How many messages were dropped for peers that are too slow."
+  @doc "Returns the number of messages dropped for slow peers."
   @callback dropped(server()) :: non_neg_integer()
-  @doc "Sends to whom it concerns; `:full` when the stream is to wait."
+  @doc "Sends a message to the peers it is for; returns `:full` if the stream must wait."
   @callback put(server(), what :: term()) :: :ok | :full
   @doc """
-  Closes after at most so many ms of waiting for messages under way. Answers how many that had been taken are lost;
-  those that it may lose at any time do not count.
+  Closes the server, after waiting up to `timeout` ms for messages in flight. Returns the number of accepted messages
+  that were lost, not counting messages that the protocol may drop at any time.
   """
   @callback close(server(), timeout :: non_neg_integer()) :: lost :: non_neg_integer()
 
@@ -25,33 +25,33 @@ defmodule Situ.Bridge.Outlet do
     format: [
       type: {:in, [:json, :csv, :message_pack, :situ, :raw]},
       default: :json,
-      doc: "A format of `Situ.Bridge.Format`; `:raw`: data that are bytes, as they are."
+      doc: "A format of `Situ.Bridge.Format`; `:raw`: unchanged bytes."
     ],
     high_water_mark: [
       type: :pos_integer,
       default: 1_000,
-      doc: "The most messages that wait for one peer."
+      doc: "The maximum number of messages that are queued for one peer."
     ],
     wait_for: [
       type: :non_neg_integer,
       default: 0,
-      doc: "Send nothing before so many peers (subscribers) are there."
+      doc: "The number of peers (subscribers) to wait for before sending anything."
     ],
     linger: [
       type: :non_neg_integer,
       default: 1_000,
       doc:
-        "How long to wait at the end for somebody who takes what is still to be sent, ms. If nobody does, the error " <>
-          "`:not_delivered` tells how many messages are lost."
+        "How long to wait at the end until a peer takes the remaining messages, in ms. After that, the error " <>
+          "`:not_delivered` reports the number of lost messages."
     ],
     listening: [
       type: {:optional, :pid},
       default: nil,
-      doc: "Gets `{:listening, port}` once bound; of use with port 0."
+      doc: "A process that receives `{:listening, port}` once bound; useful with port 0."
     ]
   ]
 
-  # `until`: when it gives up, if nothing goes through the door before; known from the end of the pipeline on.
+  # `until`: the deadline for giving up if no message is accepted before; set once the pipeline ends.
   defstruct [:opts, :door, :server, :until, waiting: false, holding: false, held: [], lost: 0]
   @type t :: %__MODULE__{}
 
@@ -68,20 +68,20 @@ defmodule Situ.Bridge.Outlet do
     end
   end
 
-  @doc "The options that all such sinks have."
+  @doc "Returns the options that all network sinks have."
   def options, do: @options
 
   @spec new(keyword()) :: t()
   def new(opts), do: %__MODULE__{opts: opts, waiting: opts[:wait_for] > 0}
 
-  @doc "Goes through a door that is open, a module of this behaviour and its process; `port` is the one it got, if any."
+  @doc "Attaches an open server, given with its module (an implementation of this behaviour) and its port, if any."
   @spec open(t(), module(), server(), :inet.port_number() | nil) :: t()
   def open(outlet, door, server, port) do
     if outlet.opts[:listening] && port, do: send(outlet.opts[:listening], {:listening, port})
     %{outlet | door: door, server: server}
   end
 
-  @doc "One message by the format of the options. Raises `Situ.Error` (`:not_writable`)."
+  @doc "Encodes one message in the format of the options. Raises `Situ.Error` (`:not_writable`)."
   @spec payload(Situ.Message.t(), keyword()) :: iodata()
   def payload(%{data: data} = message, opts) do
     case opts[:format] do
@@ -91,11 +91,11 @@ defmodule Situ.Bridge.Outlet do
     end
   end
 
-  @doc "Sends what goes through the door, or keeps it and holds the input `in` until there is room."
+  @doc "Sends the payload, or keeps it and holds the input `in` until there is room."
   @spec take(t(), what :: term()) :: {[tuple()], t()}
   def take(outlet, payload), do: pour(%{outlet | held: outlet.held ++ [payload]})
 
-  @doc "The stage tells the component: a hold has ended, or the pipeline comes to its end."
+  @doc "Handles a message from the stage: a hold has ended, or the pipeline is ending."
   @spec told(t(), term()) :: {[tuple()], t()}
   def told(outlet, {:hold_ended, :in}), do: pour(outlet)
   def told(%{until: nil} = outlet, {:linger, :end}), do: outlet |> moved() |> pour()
@@ -121,14 +121,14 @@ defmodule Situ.Bridge.Outlet do
     end
   end
 
-  # A pipeline that ends does not wait for ever.
+  # At the end of the pipeline, waiting has a deadline.
   defp wait(%{until: until} = outlet) do
     if until != nil and now() >= until,
       do: pour(%{outlet | waiting: false, held: [], lost: outlet.lost + length(outlet.held)}),
       else: {[{:hold, :in}, {:linger, true}], %{outlet | holding: true}}
   end
 
-  @doc "The end of the stream. Raises `Situ.Error` (`:not_delivered`) when something of it is lost."
+  @doc "Closes the outlet at the end of the stream. Raises `Situ.Error` (`:not_delivered`) if messages were lost."
   @spec close(t()) :: t()
   def close(outlet) do
     outlet = outlet |> moved() |> drain()
@@ -137,7 +137,7 @@ defmodule Situ.Bridge.Outlet do
     %{outlet | server: nil}
   end
 
-  # There is nothing else to do any more than to wait for what is held.
+  # At the end, the component only has to wait for the held messages, so it may block.
   defp drain(outlet) do
     {_, outlet} = pour(outlet)
 
@@ -155,14 +155,14 @@ defmodule Situ.Bridge.Outlet do
     what = if lost == 1, do: "a message was", else: "#{lost} messages were"
 
     Error.new(:not_delivered, what <> " not delivered",
-      why: "nobody took them within #{linger} ms after the end",
-      fix: "look after the other side, or let the end wait longer (`linger:`)"
+      why: "no peer took them within #{linger} ms after the end",
+      fix: "check the receiving side, or wait longer at the end (`linger:`)"
     )
   end
 
   defp now, do: System.monotonic_time(:millisecond)
 
-  @doc "Closes without waiting."
+  @doc "Closes the outlet without waiting."
   @spec abandon(t()) :: :ok
   def abandon(%{server: nil}), do: :ok
 
@@ -171,7 +171,7 @@ defmodule Situ.Bridge.Outlet do
     :ok
   end
 
-  @doc "One line for people."
+  @doc "Describes the outlet in one line."
   @spec describe(t()) :: String.t()
   def describe(%{server: nil}), do: "closed"
 

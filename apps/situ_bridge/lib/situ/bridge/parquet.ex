@@ -3,42 +3,45 @@ defmodule Situ.Bridge.Parquet do
     streams: [
       type: {:optional, {:list, :string}},
       default: nil,
-      doc: "The streams wanted; all by default."
+      doc: "The names of the streams to export; by default, all of them."
     ],
-    compression: [type: {:in, [:none, :gzip]}, default: :none, doc: "How pages are packed."],
-    rows: [type: :pos_integer, default: 100_000, doc: "The most rows of a row group."]
+    compression: [type: {:in, [:none, :gzip]}, default: :none, doc: "How to compress pages."],
+    rows: [type: :pos_integer, default: 100_000, doc: "The maximum number of rows per row group."]
   ]
   @read [
     time: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "The column of originating times (nanoseconds, if its type says nothing else); by default " <>
-          "`originating_time`, or else the first one of times."
+        "The column with the originating times, read as nanoseconds unless its type has a unit; by default " <>
+          "`originating_time`, or else the first column of timestamps."
     ],
     columns: [
       type: {:optional, {:list, :string}},
       default: nil,
-      doc: "The columns wanted; all by default."
+      doc: "The names of the columns to read; by default, all of them."
     ],
-    type: [type: :any, default: :any, doc: "Type of the stream."],
+    type: [type: :any, default: :any, doc: "The type of the stream."],
     name: [type: :string, doc: "The component's name."]
   ]
 
   @moduledoc """
-  Recordings as Parquet files, for pandas, Polars, DuckDB and whatever else reads tables; and such tables as streams.
+  Writes recordings as Parquet files for pandas, Polars, DuckDB and other programs that read tables, and reads such
+  tables as streams.
 
-      {:ok, counts} = Situ.Bridge.Parquet.export(store, "tables")      # tables/NAME.parquet, one a stream
+      {:ok, counts} = Situ.Bridge.Parquet.export(store, "tables")      # tables/NAME.parquet, one per stream
       p |> Situ.Bridge.Parquet.read("levels.parquet") |> Situ.each(&IO.inspect/1)
 
-  A row is a message: `originating_time` and `creation_time` (timestamps in nanoseconds, UTC), and `value`, or a column
-  for each member of maps and structs, those of nested ones as `a.b`. Numbers, booleans, texts and bytes stay such;
-  lists, and members that are now this and now that, are JSON. A stream is gone through twice: what its columns are is
-  known at the end only. Pictures and sound (what has a codec of its own) are not put into tables.
+  A row is a message. Its columns are `originating_time` and `creation_time` (timestamps in nanoseconds, UTC), and
+  `value`, or one column for each member of maps and structs, with nested members named `a.b`. Numbers, booleans,
+  strings and bytes keep their types. Lists, and members whose type varies, are written as JSON. A stream is read
+  twice, because its columns are known only at its end. Images, audio and other types with a codec cannot be written
+  to tables.
 
-  Read are columns of all types, lists, maps and structs too, plain or packed by Snappy, gzip, zstd or LZ4, in all
-  encodings but the abandoned BIT_PACKED; another one is an error that names it. Decimals are floats, times of a day and
-  spans nanoseconds, UUIDs texts. A row is a map of its columns, or of the one column `value` the value.
+  Columns of all types can be read, including lists, maps and structs, uncompressed or compressed with Snappy, gzip,
+  zstd or LZ4, in all encodings except the deprecated BIT_PACKED. An unsupported encoding or compression is an error
+  that names it. Decimals become floats, times of day and durations become nanoseconds, and UUIDs become strings. A
+  row is a map of its columns; if its only column is `value`, the row is that value.
 
   ## Options of `export/3`
 
@@ -49,8 +52,9 @@ defmodule Situ.Bridge.Parquet do
   alias Situ.{Error, Store}
 
   @doc """
-  Writes streams of a recording into a folder, a file each: `{:ok, %{name => rows}}`. Streams without messages, and
-  those of pictures, sound and the like, are left out. Errors: `:not_writable`, `:io`, `:disk_full`.
+  Writes streams of a recording into a folder, one file per stream, and returns `{:ok, %{name => rows}}`. Streams
+  without messages, and streams of images, audio and other types with a codec, are skipped. Errors: `:not_writable`,
+  `:io`, `:disk_full`.
   """
   @spec export(Store.t(), Path.t(), keyword()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
@@ -60,8 +64,9 @@ defmodule Situ.Bridge.Parquet do
   end
 
   @doc """
-  Writes one stream of a recording into a file: `{:ok, rows}`. Options: `compression:` and `rows:` as `export/3`;
-  `from:`, `to:`, `skip_damage:` as `Situ.Store.messages/3`; `progress:`, a function of the rows written so far.
+  Writes one stream of a recording into a file and returns `{:ok, rows}`. Options: `compression:` and `rows:` as in
+  `export/3`; `from:`, `to:` and `skip_damage:` as in `Situ.Store.messages/3`; `progress:`, a function that receives
+  the number of rows written so far.
   """
   @spec write(Store.t(), String.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
@@ -72,12 +77,13 @@ defmodule Situ.Bridge.Parquet do
   end
 
   @doc """
-  Writes several streams of a recording as one table: `{:ok, rows}`, a row for each message of one of them, joined on
-  time. A column is called like its stream, that of a member `STREAM.MEMBER`.
+  Writes several streams of a recording as one table, joined on time, and returns `{:ok, rows}`. The table has a row
+  for each message of the stream `on:`. Columns are named `STREAM`, or `STREAM.MEMBER` for members of maps and
+  structs.
 
       Situ.Bridge.Parquet.join(store, "drive.parquet", on: "Speed", streams: ["Pose"], within: Situ.Time.ms(50))
 
-  Other options as `write/4`.
+  Other options are the same as for `write/4`.
 
   #{Situ.Options.docs(Situ.Bridge.Columnar.Joined.options())}
   """
@@ -89,8 +95,8 @@ defmodule Situ.Bridge.Parquet do
   end
 
   @doc ~S"""
-  Writes messages from anywhere into a file: `{:ok, rows}`. `parts` are lists of messages; they are gone through twice,
-  so enumerating them again must give the same ones.
+  Writes messages from any source into a file and returns `{:ok, rows}`. `parts` is an enumerable of lists of
+  messages. It is enumerated twice and must yield the same messages both times.
 
       iex> messages = for i <- 1..3, do: %Situ.Message{data: i / 2, originating_time: i, creation_time: i}
       iex> path = Path.join(System.tmp_dir!(), "situ-parts-#{System.unique_integer([:positive])}.parquet")
@@ -106,8 +112,8 @@ defmodule Situ.Bridge.Parquet do
   end
 
   @doc """
-  A source of a table's rows; it proposes a replay from the first one on. Rows without a time, and those that are not
-  later than the one before, are left out.
+  Adds a source with the rows of a table; it proposes a replay that starts at the first row. Rows are skipped if they
+  have no time, or a time that is not later than the time of the previous row.
 
   #{Situ.Options.docs(@read)}
   """
@@ -118,8 +124,9 @@ defmodule Situ.Bridge.Parquet do
   end
 
   @doc """
-  Returns the columns of a file, and the names and types of those that are left out because their types are not read.
-  Of several columns of one name, the later ones are numbered: `x`, `x_1`. Errors: `:io`, `:not_parquet`.
+  Returns the columns of a file, and the names and types of the columns that are skipped because their types are not
+  supported. If several columns have the same name, the later ones are numbered: `x`, `x_1`. Errors: `:io`,
+  `:not_parquet`.
   """
   @spec columns(Path.t()) ::
           {:ok, %{columns: [String.t()], left_out: [{name :: String.t(), type :: String.t()}]}}
@@ -127,11 +134,11 @@ defmodule Situ.Bridge.Parquet do
   def columns(path), do: Columnar.columns(File, path)
 
   @doc """
-  The rows as a lazy enumerable of `{time, value}`. Memory is that of a page of each column that is wanted. Raises
+  Returns the rows as a lazy enumerable of `{time, value}`. Memory holds one page of each requested column. Raises
   `Situ.Error`: `:io`, `:not_parquet`, `:no_column`.
 
-  Options: `time:` and `columns:` as `read/3`; `notice:`, a function that gets a sentence about columns, and about rows,
-  that are left out; by default it is logged as a warning.
+  Options: `time:` and `columns:` as in `read/3`; `notice:`, a function that receives a sentence about skipped columns
+  or rows. By default, these sentences are logged as warnings.
   """
   @spec messages(Path.t(), keyword()) :: Enumerable.t()
   def messages(path, opts \\ []), do: Columnar.messages(File, path, opts)

@@ -1,7 +1,8 @@
 defmodule Situ.Bridge.Protobuf do
   @moduledoc """
-  Protobuf messages of any type as maps, and back: by a definition, the text of a `.proto` file or the bytes of a
-  FileDescriptorSet (`protoc --descriptor_set_out=... --include_imports`; MCAP files carry one for each channel).
+  Encodes and decodes Protobuf messages of any type as maps. The definition is the text of a `.proto` file or the
+  bytes of a FileDescriptorSet (`protoc --descriptor_set_out=... --include_imports`; MCAP files have one for each
+  channel).
 
       iex> alias Situ.Bridge.Protobuf
       iex> text = ~s(syntax = "proto3"; message Reading { string name = 1; repeated float levels = 2; })
@@ -10,13 +11,14 @@ defmodule Situ.Bridge.Protobuf do
       iex> Protobuf.decode(schema, "Reading", bytes)
       {:ok, %{"name" => "a", "levels" => [0.5, 1.5]}}
 
-  Keys are the names of the fields. Enumerations are the names of their values (numbers, where there is none), bytes
-  binaries, messages and `map<...>` maps, `google.protobuf.Timestamp` and `Duration` nanoseconds; NaN and infinities are
-  atoms. A field that is not in the bytes is zero, empty, or `nil` where Protobuf tells the two apart. Fields that the
-  definition has not are left out, groups too; Foxglove's messages (`foxglove.CompressedImage` ...) and Google's times
-  are known to every definition.
+  Keys are the names of the fields. Enumerations are the names of their values (or numbers, if a value has no name),
+  bytes are binaries, messages and `map<...>` are maps, `google.protobuf.Timestamp` and `Duration` are nanoseconds,
+  and NaN and infinities are atoms. A field that is missing from the bytes is zero, empty, or `nil` if Protobuf
+  distinguishes absent fields. Fields that are not in the definition are dropped, as are groups. Foxglove's messages
+  (`foxglove.CompressedImage` ...) and Google's time types are available to every definition.
 
-  Hostile bytes are an error: reading makes no atoms, nests 100 deep at most, and is bounded by the bytes there are.
+  Malformed input returns an error: decoding creates no atoms, is limited to 100 levels of nesting, and is bounded by
+  the size of the input.
   """
   alias Situ.Bridge.Foxglove.Messages
   alias Situ.Bridge.Protobuf.{Descriptor, Reader, Schema, Text, Writer}
@@ -24,7 +26,7 @@ defmodule Situ.Bridge.Protobuf do
 
   @type schema :: Schema.t()
 
-  @doc "The schema of a definition, text or FileDescriptorSet. Error: `:bad_definition`."
+  @doc "Parses a definition, either text or a FileDescriptorSet. Error: `:bad_definition`."
   @spec schema(binary()) :: {:ok, schema()} | {:error, Error.t()}
   def schema(definition) do
     with {:error, why} <- parsed(definition) do
@@ -32,12 +34,12 @@ defmodule Situ.Bridge.Protobuf do
        Error.new(:bad_definition, "the Protobuf definition cannot be used",
          why: why,
          fix:
-           "give the text of one .proto file, or a FileDescriptorSet made with --include_imports"
+           "pass the text of one .proto file, or a FileDescriptorSet made with --include_imports"
        )}
     end
   end
 
-  # A FileDescriptorSet begins with field 1, a line feed, as a text may.
+  # A FileDescriptorSet begins with field 1, whose byte is a line feed; a text may also begin with a line feed.
   defp parsed(<<10, _::binary>> = bytes) do
     case Descriptor.read(bytes) do
       {:ok, %Schema{messages: messages} = schema} when messages != %{} -> {:ok, schema}
@@ -52,22 +54,25 @@ defmodule Situ.Bridge.Protobuf do
   defp trouble(why) when is_binary(why), do: why
   defp trouble(_empty), do: "it has no messages"
 
-  @doc "A message of the type `name` (`\"package.Message\"`). Errors: `:no_such_type`, `:bad_message`."
+  @doc "Decodes a message of the type `name` (`\"package.Message\"`). Errors: `:no_such_type`, `:bad_message`."
   @spec decode(schema(), String.t(), binary()) :: {:ok, map()} | {:error, Error.t()}
   def decode(schema, name, bytes) do
     with :ok <- known(schema, name),
          {:error, why} <- Reader.decode(schema, name, bytes) do
       {:error,
-       Error.new(:bad_message, "#{byte_size(bytes)} bytes are no message #{name}", why: why)}
+       Error.new(:bad_message, "#{byte_size(bytes)} bytes are not a message of the type #{name}",
+         why: why
+       )}
     end
   end
 
-  @doc "The bytes of a message. Errors: `:no_such_type`, `:not_writable`."
+  @doc "Encodes a message. Errors: `:no_such_type`, `:not_writable`."
   @spec encode(schema(), String.t(), map()) :: {:ok, binary()} | {:error, Error.t()}
   def encode(schema, name, message) do
     with :ok <- known(schema, name),
          {:error, why} <- Writer.encode(schema, name, message) do
-      {:error, Error.new(:not_writable, "a message #{name} cannot be written", why: why)}
+      {:error,
+       Error.new(:not_writable, "the message of the type #{name} cannot be encoded", why: why)}
     end
   end
 
@@ -77,7 +82,7 @@ defmodule Situ.Bridge.Protobuf do
     {:error,
      Error.new(:no_such_type, "the definition has no message #{inspect(name)}",
        fix:
-         "name one of them: #{messages |> Map.keys() |> Enum.sort() |> Enum.take(5) |> Enum.join(", ")} ..."
+         "use a type of the definition: #{messages |> Map.keys() |> Enum.sort() |> Enum.take(5) |> Enum.join(", ")} ..."
      )}
   end
 end

@@ -1,14 +1,15 @@
 defmodule Situ.Bridge.Psi do
   @moduledoc """
-  Recordings of Microsoft's *Platform for Situated Intelligence* (\\psi), opened like our own: `Situ.Store.open/2`
-  takes the folder (`lobby.0003`), the name of a store in a folder with several (`recordings/lobby`), or the name of
-  which the newest version is meant.
+  Opens recordings of Microsoft's *Platform for Situated Intelligence* (\\psi) like Situ's own. `Situ.Store.open/2`
+  takes the folder (`lobby.0003`), the name of a store in a folder with several stores (`recordings/lobby`), or a name
+  without a version for the newest version.
 
       {:ok, store} = Situ.Store.open("recordings/lobby.0003")
       Situ.Store.streams(store)
       {:ok, messages} = Situ.Store.read(store, "Head.Pose", from: t0, to: t1)
 
-  So does whatever opens recordings: `bin/situ store info`, the studio, replay in a pipeline, `situ store copy`.
+  Everything else that opens recordings works, too: `bin/situ store info`, the studio, replay in a pipeline,
+  `situ store copy`.
 
   | .NET | here |
   |---|---|
@@ -16,20 +17,20 @@ defmodule Situ.Bridge.Psi do
   | `DateTime`, `TimeSpan` | nanoseconds (since 1970; of a duration) |
   | `char`, `decimal`, `Guid` | strings |
   | arrays, `List`, `IEnumerable`, `HashSet`, `SortedSet`, `LinkedList`, `Queue`, `Stack` (from the top); `byte[]`, `MemoryStream` | lists; binaries |
-  | `Dictionary`, also sorted and concurrent ones; tuples; `Nullable`; `Shared<T>` | maps; tuples; the value or `nil`; what is shared |
-  | images, depth images, encoded images (of depth too: their scale is not in the file), sound | the same as Situ's |
-  | `TimeIntervalAnnotationSet` | maps, which everything that works with annotations understands |
-  | classes and structs | maps with the names of the fields or properties, private ones too; `"$type"` where the declared type leaves it open |
+  | `Dictionary`, including sorted and concurrent ones; tuples; `Nullable`; `Shared<T>` | maps; tuples; the value or `nil`; the shared value |
+  | images, depth images, encoded images (including depth, but without their scale, which is not in the file), audio | the same as Situ's |
+  | `TimeIntervalAnnotationSet` | maps, which all functions for annotations accept |
+  | classes and structs | maps with the names of the fields or properties, including private ones; `"$type"` is set if the declared type does not determine the type |
 
-  Any object may be `nil`. An object met again is the same term again; in a cycle it is `%{"$ref" => n}`, and the
-  object meant has the key `"$id"`. A message that cannot be decoded is a `Situ.Store.Undecoded` with its bytes and
-  the reason.
+  Any object may be `nil`. Repeated references to an object become the same term; in a cycle they become
+  `%{"$ref" => n}`, and the referenced object has the key `"$id"`. A message that cannot be decoded becomes a
+  `Situ.Store.Undecoded` with its bytes and the reason.
 
-  Opening passes over the data once and keeps 28 bytes a message. Everything that is whole is there, whatever state
-  the store is in: not closed, its writer killed, files cut short or missing; `Situ.Store.info/1` tells what is lost
-  under `:damage`, and under `:notes` which streams are of types that Situ only knows by the schemas in the store. A
-  store that is being written is read as it was when opened. Times, sequence numbers and stream ids are the recorded
-  ones.
+  Opening a store scans its data once and keeps 28 bytes per message. All complete messages are available, even if the
+  store was not closed, its writer was killed, or files are truncated or missing. `Situ.Store.info/1` lists lost data
+  under `:damage`, and under `:notes` the streams whose types Situ knows only from the schemas in the store. A store
+  that is being written is read in the state in which it was opened. Times, sequence numbers and stream ids are the
+  recorded ones.
   """
   @behaviour Situ.Store.Reader
   alias Situ.{Error, Message}
@@ -40,7 +41,7 @@ defmodule Situ.Bridge.Psi do
 
   defstruct [:folder, :name, :catalog, :types, :tracks, :streams, :damage]
 
-  # The most that is read at once: a batch is no more than this, or one message.
+  # The maximum size of one read: a batch is at most this large, or a single message.
   @most_bytes 16 * 1024 * 1024
 
   @impl true
@@ -92,8 +93,8 @@ defmodule Situ.Bridge.Psi do
     with :error <- Files.find(path) do
       {:error,
        Error.new(:no_store, "no \\psi store at #{path}",
-         why: "there is no file called NAME.Catalog_000000.psi",
-         fix: "name the folder of a store, or folder/NAME where it has several"
+         why: "a file NAME.Catalog_000000.psi was not found",
+         fix: "give the folder of a store, or folder/NAME if the folder has several stores"
        )}
     end
   end
@@ -102,8 +103,8 @@ defmodule Situ.Bridge.Psi do
   defp check(%{runtime: nil, streams: streams}, folder, name) when streams == %{} do
     {:error,
      Error.new(:not_psi, "#{Files.path(folder, name, :catalog, 0)} is not a catalog of \\psi",
-       why: "nothing in it can be read as a stream, a type or a version",
-       fix: "check that the file is whole"
+       why: "it contains no readable stream, type or version",
+       fix: "check that the file is complete"
      )}
   end
 
@@ -145,7 +146,7 @@ defmodule Situ.Bridge.Psi do
     end
   end
 
-  # A closed stream tells how many messages it had.
+  # The catalog entry of a closed stream contains its number of messages.
   defp missing(state, entry) do
     there = Map.get(state.tracks, entry.id, %Track{}).count
 
@@ -176,13 +177,13 @@ defmodule Situ.Bridge.Psi do
     how =
       case Types.handler(state.types, state.catalog.streams[info.id].type_name) do
         {:object, nil} ->
-          "no schema in the store describes it, unless its messages tell their types"
+          "no schema in the store describes it, unless its messages name their types"
 
         _ ->
-          "its messages are maps, by the schema in the store"
+          "its messages are maps, based on the schema in the store"
       end
 
-    ["#{info.name} is of the type #{info.type_name}: #{how}"]
+    ["#{info.name} has the type #{info.type_name}: #{how}"]
   end
 
   defp note(_info, _state), do: []
@@ -257,7 +258,7 @@ defmodule Situ.Bridge.Psi do
     end
   end
 
-  # Neighbours mostly lie in one file: it is opened once for them.
+  # Neighboring messages are usually in the same file, which is opened once for all of them.
   defp blocks(state, places, envelopes?) do
     places
     |> Enum.chunk_by(&{&1.file, &1.extent})

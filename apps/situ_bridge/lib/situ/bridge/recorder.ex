@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Recorder do
   @moduledoc false
-  # The behaviour of a format, so that pipelines and recordings can be written in it (`Situ.Bridge.Mcap`,
+  # The behaviour of a file format in which pipelines and recordings can be written (`Situ.Bridge.Mcap`,
   # `Situ.Bridge.Ros.Bag`). The state is a struct with the field `count`.
   alias Situ.Error
 

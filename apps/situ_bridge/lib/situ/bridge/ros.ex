@@ -1,19 +1,20 @@
 defmodule Situ.Bridge.Ros do
   @moduledoc """
-  Live topics, services and parameters of ROS 1, in plain Elixir: no ROS is needed on this machine.
+  Connects streams with live topics, services and parameters of ROS 1. It is written in Elixir and does not need ROS
+  on this machine.
 
       scans = Situ.Bridge.Ros.subscribe(p, "/scan", master: "http://robot:11311")
-      Situ.Bridge.Ros.publish(pictures, "/camera/image_raw")
+      Situ.Bridge.Ros.publish(images, "/camera/image_raw")
       {:ok, %{"sum" => 5}} = Situ.Bridge.Ros.call("/add", definition, %{"a" => 2, "b" => 3})
 
-  Messages of any type come by the definition that their publisher sends; standard ones are Situ's types
-  (`Situ.Bridge.Ros.Standard`), others are maps with string keys, times in nanoseconds. The stamp of a header becomes
-  the originating time, also a simulated one, and the other way round. Each stream is a node of its own.
+  Messages of any type are decoded with the definition that their publisher sends. Standard messages become Situ's
+  types (`Situ.Bridge.Ros.Standard`), other messages become maps with string keys and times in nanoseconds. The stamp
+  of a header becomes the originating time (including simulated time), and vice versa. Each stream is a separate node.
 
-  A master or a publisher that is not there yet is waited for, one that was restarted is found again. A subscriber that
-  is too slow loses messages, counted, beyond `high_water_mark:`. Messages that cannot be read, or whose times do not
-  increase, are left out and counted (`Situ.Pipeline.info/1`). ROS 1 has neither encryption nor authentication: with a
-  master on this machine a node listens on 127.0.0.1 only, else everywhere.
+  If a master or a publisher is unavailable or restarts, the node waits and reconnects. A slow subscriber loses
+  messages beyond `high_water_mark:`, which are counted. Messages that cannot be read, or whose times do not increase,
+  are dropped and counted (`Situ.Pipeline.info/1`). ROS 1 has neither encryption nor authentication. If the master is
+  on this machine, a node listens only on 127.0.0.1, otherwise on all interfaces.
   """
   alias Situ.Bridge.Ros.{Address, Registrar, Service, Sink, Source}
   alias Situ.Error
@@ -30,7 +31,7 @@ defmodule Situ.Bridge.Ros do
   end
 
   @doc """
-  A source of a topic's messages.
+  Adds a source with the messages of a topic.
 
   #{Situ.Options.docs(Keyword.delete(Source.schema(), :topic))}
   """
@@ -39,9 +40,10 @@ defmodule Situ.Bridge.Ros do
     do: Situ.source(p, Source, [topic: topic, outputs: [out: opts[:type] || :any]] ++ opts)
 
   @doc """
-  Calls a service: a message of its request type, `{:ok, message}` of its response type. `definition` is the text of its
-  `.srv`. Option `timeout:` (5,000 ms), and those below. Errors: `:ros_unreachable`, `:ros_refused` (there is no such
-  service, its type is another, or it says no), `:bad_definition`, `:not_writable`.
+  Calls a service with a message of its request type; returns `{:ok, message}` with its response. `definition` is the
+  text of its `.srv` file. Options: `timeout:` (5,000 ms), and the options below. Errors: `:ros_unreachable`,
+  `:ros_refused` (the service does not exist, has a different type, or returned an error), `:bad_definition`,
+  `:not_writable`.
 
   #{Situ.Options.docs(Address.options())}
   """
@@ -49,9 +51,9 @@ defmodule Situ.Bridge.Ros do
   defdelegate call(service, definition, request, opts \\ []), to: Service
 
   @doc """
-  Offers a service: `fun` gets a request and answers `{:ok, response}` or `{:error, text}`; in a process of its own for
-  each caller. Ends with `stop/1`, and with the calling process. `type` is that of the `.srv` (`"std_srvs/SetBool"`).
-  Options as `call/4`.
+  Offers a service. For each caller, `fun` runs in a separate process; it receives a request and returns
+  `{:ok, response}` or `{:error, text}`. The service ends with `stop/1` or with the calling process. `type` is the
+  type of the `.srv` file (`"std_srvs/SetBool"`). Options as in `call/4`.
   """
   @spec serve(
           String.t(),
@@ -63,21 +65,23 @@ defmodule Situ.Bridge.Ros do
           {:ok, pid()} | {:error, Error.t()}
   defdelegate serve(service, type, definition, fun, opts \\ []), to: Service
 
-  @doc "Ends a service."
+  @doc "Stops a service."
   @spec stop(pid()) :: :ok
   defdelegate stop(server), to: Service
 
-  @doc "A parameter of the master's: numbers, booleans, texts, lists, maps. Errors as `call/4`. Options: `master:`."
+  @doc """
+  Returns a parameter of the master: a number, boolean, string, list or map. Errors as in `call/4`. Option: `master:`.
+  """
   @spec get_param(String.t(), keyword()) :: {:ok, term()} | {:error, Error.t()}
   def get_param(name, opts \\ []), do: master("getParam", [Address.whole(name)], opts)
 
-  @doc "Sets a parameter."
+  @doc "Sets a parameter of the master."
   @spec set_param(String.t(), term(), keyword()) :: :ok | {:error, Error.t()}
   def set_param(name, value, opts \\ []) do
     with {:ok, _} <- master("setParam", [Address.whole(name), value], opts), do: :ok
   end
 
-  @doc "The topics that somebody publishes: `{topic, type}`."
+  @doc "Returns the published topics as `{topic, type}`."
   @spec topics(keyword()) :: {:ok, [{String.t(), String.t()}]} | {:error, Error.t()}
   def topics(opts \\ []) do
     with {:ok, list} <- master("getPublishedTopics", [""], opts),
@@ -89,11 +93,11 @@ defmodule Situ.Bridge.Ros do
     Registrar.call(address, method, [address.node | arguments])
   end
 
-  @doc "The name that all bridges have for their way out: `publish/3`."
+  @doc "Same as `publish/3`: all bridges have a function `sink` that sends a stream."
   @spec sink(Situ.Stream.t(), String.t(), keyword()) :: Situ.Stream.t()
   def sink(stream, topic, opts \\ []), do: publish(stream, topic, opts)
 
-  @doc "The name that all bridges have for their way in: `subscribe/3`."
+  @doc "Same as `subscribe/3`: all bridges have a function `source` that receives a stream."
   @spec source(Situ.Pipeline.t(), String.t(), keyword()) :: Situ.Stream.t()
   def source(p, topic, opts \\ []), do: subscribe(p, topic, opts)
 end

@@ -1,26 +1,26 @@
 defmodule Situ.Bridge.Ros2 do
   @moduledoc """
-  Live topics and services of ROS 2, as `rmw_zenoh` has them on Zenoh: no ROS is needed on this machine, but Zenoh's
-  router (`rmw_zenohd`) somewhere, and the program `zenoh_port` (`bin/setup --with ros2` builds it; it is no part of the
-  ordinary build).
+  Connects streams with live topics and services of ROS 2 as implemented by `rmw_zenoh`. It does not need ROS on this
+  machine. It needs a Zenoh router (`rmw_zenohd`) on the network and the program `zenoh_port`, which is not part of
+  the ordinary build (`bin/setup --with ros2` builds it).
 
       imu = Situ.Bridge.Ros2.subscribe(p, "/imu", router: "tcp/robot:7447")
-      Situ.Bridge.Ros2.publish(pictures, "/camera/image_raw", frame: "camera")
+      Situ.Bridge.Ros2.publish(images, "/camera/image_raw", frame: "camera")
       add = "int64 a\nint64 b\n---\nint64 sum"
       type = "example_interfaces/srv/AddTwoInts"
       {:ok, %{"sum" => 5}} = Situ.Bridge.Ros2.call("/add", type, add, %{"a" => 2, "b" => 3})
 
-  Standard messages are Situ's types (`Situ.Bridge.Ros.Standard`), others maps with string keys, by `definition:`. The
-  stamp of a header becomes the originating time, or else the time at which the sender sent it. Each stream is a node of
-  its own, seen by `ros2 topic list`. Types are told apart by ROS's own hash.
+  Standard messages become Situ's types (`Situ.Bridge.Ros.Standard`), other messages become maps with string keys,
+  according to `definition:`. The originating time is the stamp of the header, or else the time of sending. Each
+  stream is a separate node, visible to `ros2 topic list`. Types are identified by ROS's own hash.
 
-  With `latch: true` a publisher keeps its last messages for those who subscribe later, and a subscriber gets such
-  messages (durability TRANSIENT_LOCAL; `depth:` says how many).
+  With `latch: true` a publisher keeps its last messages for later subscribers, and a subscriber receives such
+  messages (durability TRANSIENT_LOCAL; `depth:` is their number).
 
-  A router that is not there yet is waited for, and one that was restarted is found again. A subscriber that is too slow
-  loses messages beyond `high_water_mark:`; a publisher's stream waits for the network. Messages that cannot be read, or
-  whose times do not increase, are left out and counted (`Situ.Pipeline.info/1`). Parameters are services of each node
-  (`rcl_interfaces/srv/GetParameters`); actions are not there.
+  If the router is unavailable or restarts, the client waits and reconnects. A slow subscriber loses messages beyond
+  `high_water_mark:`; a publisher's stream waits for the network. Messages that cannot be read, or whose times do not
+  increase, are dropped and counted (`Situ.Pipeline.info/1`). Parameters are services of each node
+  (`rcl_interfaces/srv/GetParameters`). Actions are not supported.
   """
   alias Situ.Bridge.Ros2.{Client, Server, Sink, Source, Zenoh}
   alias Situ.Error
@@ -37,7 +37,7 @@ defmodule Situ.Bridge.Ros2 do
   end
 
   @doc """
-  A source of a topic's messages. Error of the pipeline: `:no_zenoh_port`.
+  Adds a source with the messages of a topic. Error of the pipeline: `:no_zenoh_port`.
 
   #{Situ.Options.docs(Keyword.delete(Source.schema(), :topic))}
   """
@@ -46,12 +46,12 @@ defmodule Situ.Bridge.Ros2 do
     do: Situ.source(p, Source, [topic: topic, outputs: [out: opts[:type] || :any]] ++ opts)
 
   @doc """
-  Calls a service: a message of its request type, `{:ok, message}` of its response type. `type` is
-  `"package/srv/Name"`, `definition` the text of its `.srv`. It opens a session each time; who calls often takes
-  `client/4`. Options: `timeout:` (5,000 ms), and those below.
+  Calls a service with a message of its request type; returns `{:ok, message}` with its response. `type` is
+  `"package/srv/Name"`, `definition` the text of its `.srv` file. Each call opens a session; use `client/4` for
+  frequent calls. Options: `timeout:` (5,000 ms), and the options below.
 
-  Errors: `:ros_refused` (nobody offers it with this definition, or it says no), `:ros_unreachable` (no router, or no
-  answer in time), `:bad_definition`, `:not_writable`, `:no_zenoh_port`.
+  Errors: `:ros_refused` (the service is not offered with this definition, or returned an error), `:ros_unreachable`
+  (no router, or no response in time), `:bad_definition`, `:not_writable`, `:no_zenoh_port`.
 
   #{Situ.Options.docs(Zenoh.options())}
   """
@@ -59,20 +59,20 @@ defmodule Situ.Bridge.Ros2 do
           {:ok, map()} | {:error, Error.t()}
   defdelegate call(service, type, definition, request, opts \\ []), to: Client
 
-  @doc "One who calls a service, for `ask/3`, until `stop/1` or the end of the calling process. Options as `call/5`."
+  @doc "Starts a client of a service for `ask/3`. It ends with `stop/1` or the calling process. Options as in `call/5`."
   @spec client(String.t(), String.t(), String.t(), keyword()) ::
           {:ok, pid()} | {:error, Error.t()}
   defdelegate client(service, type, definition, opts \\ []), to: Client, as: :start_link
 
-  @doc "Calls the service of a client, from any process, also many at once. Errors as `call/5`."
+  @doc "Calls the service of a client; may be called concurrently from any process. Errors as in `call/5`."
   @spec ask(pid(), map(), timeout :: pos_integer()) :: {:ok, map()} | {:error, Error.t()}
   defdelegate ask(client, request, timeout \\ 5_000), to: Client
 
   @doc """
-  Offers a service: `fun` gets a request and answers `{:ok, response}`; in a process of its own for each request. ROS 2
-  knows no refusals: `{:error, text}` is seen by callers of Situ, others wait until they give up. Ends with `stop/1`,
-  and with the calling process. Errors: `:ros_unreachable` (no router within `timeout:`, 5,000 ms), `:bad_definition`,
-  `:no_zenoh_port`. Options as `call/5`.
+  Offers a service. For each request, `fun` runs in a separate process; it receives the request and returns
+  `{:ok, response}`. ROS 2 has no error responses: `{:error, text}` reaches only callers that use Situ, other callers
+  wait until they time out. The service ends with `stop/1` or with the calling process. Errors: `:ros_unreachable` (no
+  router within `timeout:`, 5,000 ms), `:bad_definition`, `:no_zenoh_port`. Options as in `call/5`.
   """
   @spec serve(
           String.t(),
@@ -84,15 +84,15 @@ defmodule Situ.Bridge.Ros2 do
           {:ok, pid()} | {:error, Error.t()}
   defdelegate serve(service, type, definition, fun, opts \\ []), to: Server, as: :start_link
 
-  @doc "Ends a service or a client."
+  @doc "Stops a service or a client."
   @spec stop(pid()) :: :ok
   defdelegate stop(pid), to: Client
 
-  @doc "The name that all bridges have for their way out: `publish/3`."
+  @doc "Same as `publish/3`: all bridges have a function `sink` that sends a stream."
   @spec sink(Situ.Stream.t(), String.t(), keyword()) :: Situ.Stream.t()
   def sink(stream, topic, opts \\ []), do: publish(stream, topic, opts)
 
-  @doc "The name that all bridges have for their way in: `subscribe/3`."
+  @doc "Same as `subscribe/3`: all bridges have a function `source` that receives a stream."
   @spec source(Situ.Pipeline.t(), String.t(), keyword()) :: Situ.Stream.t()
   def source(p, topic, opts \\ []), do: subscribe(p, topic, opts)
 end

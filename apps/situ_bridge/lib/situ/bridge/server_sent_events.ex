@@ -1,13 +1,15 @@
 defmodule Situ.Bridge.ServerSentEvents do
   @moduledoc """
-  Streams over HTTP as server-sent events: `curl -N http://localhost:7002`, or in a browser `new EventSource(...)`.
+  Sends and receives streams over HTTP as server-sent events. Clients can be `curl -N http://localhost:7002`, or
+  `new EventSource(...)` in a browser.
 
       Situ.Bridge.ServerSentEvents.serve(levels, 7002)
       levels = Situ.Bridge.ServerSentEvents.connect(p, "robot", 7002)
 
-  An event's data is one message in JSON (`Situ.Bridge.Format`). Pages of other sites than this machine's cannot read
-  them, for no such permission is sent. Slow clients, broken connections and times are as with `Situ.Bridge.Tcp`.
-  There is no encryption and no authentication: a server listens on 127.0.0.1 unless `interface:` says otherwise.
+  The data of an event is one message in JSON (`Situ.Bridge.Format`). Pages of other sites cannot read the events,
+  since the server sends no CORS headers. Slow clients, broken connections and times are handled as in
+  `Situ.Bridge.Tcp`. Connections are neither encrypted nor authenticated, so a server listens on 127.0.0.1 unless
+  `interface:` is given.
   """
   @behaviour Situ.Bridge.Net.Protocol
   alias Situ.Bridge.Net.{Protocol, Sink, Source}
@@ -16,7 +18,7 @@ defmodule Situ.Bridge.ServerSentEvents do
   @most_head 16_384
 
   @doc """
-  Serves a stream; returns it.
+  Serves a stream; returns the stream.
 
   #{Sink.docs()}
   """
@@ -25,8 +27,8 @@ defmodule Situ.Bridge.ServerSentEvents do
     do: Sink.serve(stream, {__MODULE__, nil}, port, [format: :json] ++ opts)
 
   @doc """
-  A source of what a server sends as JSON; `path:` is that of its address (`"/"`). With `format: :raw` any events, as
-  the texts of their data.
+  Adds a source with the JSON messages of a server; `path:` is the path of its URL (`"/"`). With `format: :raw` it
+  accepts any events and emits their data as strings.
 
   #{Source.docs()}
   """
@@ -78,10 +80,10 @@ defmodule Situ.Bridge.ServerSentEvents do
         read(rest, %{head?: false, rest: ""}, most)
 
       [head, _] ->
-        {:error, "it answers #{inspect(head |> String.split("\r\n") |> hd())}"}
+        {:error, "the response is #{inspect(head |> String.split("\r\n") |> hd())}"}
 
       [_] when byte_size(bytes) > @most_head ->
-        {:error, "it does not answer like HTTP"}
+        {:error, "the response is not HTTP"}
 
       [_] ->
         {:ok, [], "", %{state | rest: bytes}}
@@ -92,11 +94,11 @@ defmodule Situ.Bridge.ServerSentEvents do
     {rest, events} = (state.rest <> bytes) |> String.split(~r/\r?\n\r?\n/) |> List.pop_at(-1)
 
     if byte_size(rest) > most,
-      do: {:error, "an event of more than #{most} bytes"},
+      do: {:error, "an event is longer than #{most} bytes"},
       else: {:ok, Enum.flat_map(events, &data/1), "", %{state | rest: rest}}
   end
 
-  # Events without data are signs of life.
+  # Events without data only keep the connection alive.
   defp data(event) do
     case for "data:" <> line <- String.split(event, ~r/\r?\n/),
              do: String.replace_prefix(line, " ", "") do
@@ -105,11 +107,11 @@ defmodule Situ.Bridge.ServerSentEvents do
     end
   end
 
-  @doc "The name that all bridges have for their way out: `serve/3`."
+  @doc "Same as `serve/3`: all bridges have a function `sink` that sends a stream."
   @spec sink(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
   def sink(stream, port, opts \\ []), do: serve(stream, port, opts)
 
-  @doc "The name that all bridges have for their way in: `connect/4`."
+  @doc "Same as `connect/4`: all bridges have a function `source` that receives a stream."
   @spec source(Situ.Pipeline.t(), String.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
   def source(p, host, port, opts \\ []), do: connect(p, host, port, opts)
 end

@@ -1,11 +1,11 @@
 defmodule Situ.Bridge.Tables do
   @moduledoc """
-  Files of one stream (JSON, JSON lines, CSV, MessagePack, Parquet, Arrow, Protobuf) as a recording: a new store with
-  a stream for each.
+  Imports files of one stream each (JSON, JSON lines, CSV, MessagePack, Parquet, Arrow, Protobuf) as a recording: a
+  new store with one stream per file.
 
       {:ok, path, counts} = Situ.Bridge.Tables.import([{"Level", "level.parquet", :parquet}], "recordings/levels")
 
-  The store has its name when it is whole; on an error nothing of it stays.
+  The store gets its name only when it is complete; if an error occurs, nothing of it is left on disk.
   """
   alias Situ.Bridge
   alias Situ.{Error, Message}
@@ -14,14 +14,14 @@ defmodule Situ.Bridge.Tables do
   @batch 1_000
 
   @type format :: :json | :json_lines | :csv | :message_pack | :parquet | :arrow | :protobuf
-  @typedoc "Protobuf files need the options of `Situ.Bridge.Protobuf.File.messages/2`."
+  @typedoc "A table. Protobuf files need the options of `Situ.Bridge.Protobuf.File.messages/2`."
   @type table :: {stream :: String.t(), Path.t(), format() | {:protobuf, keyword()}}
 
   @doc """
-  Makes the next version of the store `out` (`ROOT/NAME`): `{:ok, path, %{stream => messages}}`. Options: `progress:`, a
-  function of the messages written so far, and `notice:`, a function of a sentence for columns and rows that a table
-  leaves out (by default they are logged). Errors: those of the formats, and `:not_increasing` where the times of a file
-  do not increase.
+  Creates the next version of the store `out` (`ROOT/NAME`); returns `{:ok, path, %{stream => messages}}`. Options:
+  `progress:`, a function that receives the number of messages written so far; `notice:`, a function that receives a
+  sentence about skipped columns or rows of a table (by default these are logged). Errors: the errors of the formats,
+  and `:not_increasing` if the times in a file do not increase.
   """
   @spec import([table()], Path.t(), keyword()) ::
           {:ok, Path.t(), %{String.t() => non_neg_integer()}} | {:error, Error.t()}
@@ -50,7 +50,7 @@ defmodule Situ.Bridge.Tables do
   end
 
   defp written(writer, {name, path, format}, told, notice) do
-    # The first time they are gone through for their type, where nobody wants to read of it twice.
+    # The first pass determines the type; it discards the notices, which the second pass repeats.
     type = type(path, messages(path, format, fn _sentence -> :ok end))
 
     with {:ok, stream} <- Writer.stream(writer, name, type: type) do
@@ -94,7 +94,7 @@ defmodule Situ.Bridge.Tables do
 
   defp messages(path, format, _notice), do: Bridge.File.messages(path, format)
 
-  # The type of all values; unknown for a pipe, which can be read only once.
+  # Returns the common type of all values, or `:any` for a pipe, which can be read only once.
   defp type(path, messages) do
     if File.regular?(path) do
       messages
@@ -123,8 +123,8 @@ defmodule Situ.Bridge.Tables do
   defp wider(_a, _b), do: :any
 
   @doc """
-  The format of a file that is such a table, by its ending (and of CSV and JSON by its first bytes, for other files end
-  so too), or `nil`.
+  Returns the format of a file, or `nil` if it is not a table. The format is determined by the extension, and for CSV
+  and JSON, which are common extensions, also by the first bytes.
   """
   @spec format(Path.t()) :: format() | nil
   def format(path) do
@@ -155,11 +155,11 @@ defmodule Situ.Bridge.Tables do
     end
   end
 
-  @doc "The stream of a table that has no other name: the file's."
+  @doc "Returns the default stream name of a table: the name of the file."
   @spec name(Path.t()) :: String.t()
   def name(path), do: path |> Path.basename() |> Path.rootname()
 
-  @doc "Whether a recording is a table of this module, and opens by importing it."
+  @doc "Returns whether a path is a table that opens by importing it."
   @spec table?(Path.t()) :: boolean()
   def table?(path), do: File.regular?(path) and format(path) != nil
 end

@@ -1,14 +1,15 @@
 defmodule Situ.Bridge.WebSocket do
   @moduledoc """
-  Streams over WebSockets: one message each, in a format of `Situ.Bridge.Format`; JSON as text, other formats as bytes.
+  Sends and receives streams over WebSockets. Each frame is a message in a format of `Situ.Bridge.Format`: JSON and
+  CSV as text, other formats as bytes.
 
-      Situ.Bridge.WebSocket.serve(levels, 7001)                   # every client gets what comes from now on
+      Situ.Bridge.WebSocket.serve(levels, 7001)                   # clients get all messages from now on
       levels = Situ.Bridge.WebSocket.connect(p, "robot", 7001)
 
   In a browser: `new WebSocket("ws://localhost:7001").onmessage = e => JSON.parse(e.data).message`. Pages of other
-  sites than this machine's are refused unless `origins:` names them. Slow clients, broken connections and times are
-  as with `Situ.Bridge.Tcp`. There is no encryption and no authentication: a server listens on 127.0.0.1 unless
-  `interface:` says otherwise.
+  sites are rejected unless `origins:` lists them. Slow clients, broken connections and times are handled as in
+  `Situ.Bridge.Tcp`. Connections are neither encrypted nor authenticated, so a server listens on 127.0.0.1 unless
+  `interface:` is given.
   """
   @behaviour Situ.Bridge.Net.Protocol
   alias Situ.Bridge.Net.{Protocol, Sink, Source}
@@ -17,7 +18,8 @@ defmodule Situ.Bridge.WebSocket do
   @most_said 65_536
 
   @doc """
-  Serves a stream; returns it. `origins:` are those of pages that may connect (`["https://example.org"]`).
+  Serves a stream; returns the stream. `origins:` lists the origins of pages that may connect
+  (`["https://example.org"]`).
 
   #{Sink.docs()}
   """
@@ -29,7 +31,7 @@ defmodule Situ.Bridge.WebSocket do
   end
 
   @doc """
-  A source of what a server sends; `path:` is that of its address (`"/"`).
+  Adds a source with the messages of a server; `path:` is the path of its URL (`"/"`).
 
   #{Source.docs()}
   """
@@ -48,7 +50,7 @@ defmodule Situ.Bridge.WebSocket do
   @impl Protocol
   def frame(payload, arg), do: Frames.frame(arg.kind, payload)
 
-  # Messages of clients are dropped; only their pings get answers.
+  # Messages of clients are dropped; only pings get a reply.
   @impl Protocol
   def heard(bytes, _arg) do
     case Frames.split(bytes, nil, true, @most_said) do
@@ -92,11 +94,11 @@ defmodule Situ.Bridge.WebSocket do
   def missing(%{key: nil, rest: rest}), do: Frames.missing(rest)
   def missing(_handshake), do: 1
 
-  @doc "The name that all bridges have for their way out: `serve/3`."
+  @doc "Same as `serve/3`: all bridges have a function `sink` that sends a stream."
   @spec sink(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
   def sink(stream, port, opts \\ []), do: serve(stream, port, opts)
 
-  @doc "The name that all bridges have for their way in: `connect/4`."
+  @doc "Same as `connect/4`: all bridges have a function `source` that receives a stream."
   @spec source(Situ.Pipeline.t(), String.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
   def source(p, host, port, opts \\ []), do: connect(p, host, port, opts)
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Arrow.Batch do
   @moduledoc false
-  # A batch of an Arrow file: its columns, for `Situ.Bridge.Arrow.Values` to read rows of. Throws `{:not_arrow, why}`,
-  # and whatever `read` throws.
+  # A batch of an Arrow file: its columns, from which `Situ.Bridge.Arrow.Values` reads rows. Throws
+  # `{:not_arrow, why}`, and everything that `read` throws.
   alias Situ.Bridge.Arrow.{Buffer, FlatBuffer, Schema, Values}
   alias Situ.Bridge.Columnar.Input
 
@@ -10,16 +10,16 @@ defmodule Situ.Bridge.Arrow.Batch do
   @enforce_keys [:read, :body_size, :rows, :nodes, :buffers, :views, :codec]
   defstruct @enforce_keys
 
-  @typedoc "Where a message is in the file, and the size of its metadata and of its body."
+  @typedoc "The offset of a message in the file, and the sizes of its metadata and of its body."
   @type block ::
           {at :: non_neg_integer(), metadata :: non_neg_integer(), body :: non_neg_integer()}
   @type t :: %__MODULE__{}
   @type dictionaries :: %{integer() => tuple()}
 
-  @doc "Reads the metadata of a message of this kind, and returns them with the place of its header."
+  @doc "Reads the metadata of a message of this kind; returns its bytes and the offset of its header."
   @spec metadata(block(), kind :: 1..3, Input.read()) :: {binary(), non_neg_integer()}
   def metadata({at, n, _body}, kind, read) when n in 8..@most_metadata and at >= 0 do
-    # Old files have no ones before the length.
+    # Files written before Arrow 0.15 have no 0xFFFFFFFF before the length.
     bytes =
       case read.(at, n) do
         <<0xFFFFFFFF::32, _length::32, bytes::binary>> -> bytes
@@ -29,14 +29,14 @@ defmodule Situ.Bridge.Arrow.Batch do
     root = FlatBuffer.root(bytes)
 
     if FlatBuffer.number(bytes, root, 1, :u8, 0) != kind,
-      do: fail("a message of another kind than the footer says")
+      do: fail("a message is of a different kind than the footer says")
 
-    {bytes, FlatBuffer.object(bytes, root, 2) || fail("a message without a header")}
+    {bytes, FlatBuffer.object(bytes, root, 2) || fail("a message has no header")}
   end
 
-  def metadata(_block, _kind, _read), do: fail("a batch that is not there")
+  def metadata(_block, _kind, _read), do: fail("the position of a batch is invalid")
 
-  @doc "Starts to read the batch of a message, whose metadata have it at `batch`."
+  @doc "Starts reading the batch of a message; `batch` is the offset of its table in the metadata."
   @spec start(block(), {binary(), non_neg_integer()}, Input.read()) :: t()
   def start({at, metadata, size}, {bytes, batch}, read) do
     buffers =
@@ -44,9 +44,9 @@ defmodule Situ.Bridge.Arrow.Batch do
             FlatBuffer.structs(bytes, batch, 2, 16),
           do: {at, length}
 
-    # Buffers that overlap could make very many values of a small file.
+    # Overlapping buffers could expand a small file into a huge number of values.
     if buffers |> Enum.map(&elem(&1, 1)) |> Enum.sum() > size,
-      do: fail("a batch whose buffers are larger than itself")
+      do: fail("the buffers of a batch are larger than its body")
 
     compression = FlatBuffer.object(bytes, batch, 3)
 
@@ -62,7 +62,7 @@ defmodule Situ.Bridge.Arrow.Batch do
     }
   end
 
-  # A small body is read at once, since each read switches to another thread.
+  # A small body is read in one call, since each read switches to another thread.
   defp read_body(at, size, read) when size in 0..@small do
     body = read.(at, size)
     &binary_part(body, &1, &2)
@@ -71,14 +71,15 @@ defmodule Situ.Bridge.Arrow.Batch do
   defp read_body(at, _size, read), do: &read.(at + &1, &2)
 
   @doc """
-  Finds a column of the table, which has as many rows as the batch. Columns within it have as many as its lists hold.
+  Returns the buffers of a top-level column, which has as many rows as the batch. Nested columns have as many rows as
+  their lists have elements.
   """
   @spec column(t(), Schema.column(), dictionaries()) :: Values.column()
   def column(batch, column, dictionaries) do
     found = find_column(batch, column, dictionaries)
 
     if found.rows != batch.rows,
-      do: fail("the column #{inspect(column.name)} has another number of rows than its batch")
+      do: fail("the column #{inspect(column.name)} does not have as many rows as its batch")
 
     found
   end
@@ -93,7 +94,7 @@ defmodule Situ.Bridge.Arrow.Batch do
         %{
           type: type,
           rows: rows,
-          # Where nothing is missing, the presence means nothing.
+          # If no value is missing, the validity bitmap may be absent or empty.
           presence: if(missing != 0 and presence != nil and elem(presence, 0) > 0, do: presence),
           buffers: buffers,
           children: for(c <- column.children, do: {c.name, find_column(batch, c, dictionaries)}),
@@ -110,16 +111,16 @@ defmodule Situ.Bridge.Arrow.Batch do
 
   defp split_presence([], :null), do: {nil, []}
   defp split_presence([presence | buffers], _type), do: {presence, buffers}
-  defp split_presence([], _type), do: fail("a column without its buffers")
+  defp split_presence([], _type), do: fail("the buffers of a column are missing")
 
   defp buffers(batch, column, type) do
-    # The string views before this column have further buffers, which move its own.
+    # Preceding string-view columns have a variable number of buffers, which shifts this column's buffers.
     from = column.buffer + (batch.views |> Enum.take(column.view) |> Enum.sum())
     count = count(type, Enum.at(batch.views, column.view) || 0)
 
     for {at, length} <- Enum.slice(batch.buffers, from, count) do
       if at < 0 or length < 0 or at + length > batch.body_size,
-        do: fail("the column #{inspect(column.name)} has a buffer outside of its batch")
+        do: fail("a buffer of the column #{inspect(column.name)} is outside its batch")
 
       Buffer.unpack({length, &batch.read.(at + &1, &2)}, batch.codec)
     end

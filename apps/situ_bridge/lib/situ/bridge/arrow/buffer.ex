@@ -1,13 +1,13 @@
 defmodule Situ.Bridge.Arrow.Buffer do
   @moduledoc false
-  # The bytes of a column in a batch, read where and when they are needed: in a file as they are, or in memory where
-  # they are packed. Throws `{:not_arrow, why}`.
+  # The bytes of a column in a batch. Uncompressed buffers are read from the file on demand, compressed buffers are
+  # unpacked into memory. Throws `{:not_arrow, why}`.
   alias Situ.Bridge.Native
 
   @most 1_073_741_824
   @codecs %{0 => "lz4", 1 => "zstd"}
 
-  @typedoc "The size, and a function that reads so many bytes at a place."
+  @typedoc "The size of the buffer, and a function that reads `n` bytes at an offset."
   @type t ::
           {size :: non_neg_integer(),
            (at :: non_neg_integer(), n :: non_neg_integer() -> binary())}
@@ -15,7 +15,7 @@ defmodule Situ.Bridge.Arrow.Buffer do
   @spec from_binary(binary()) :: t()
   def from_binary(bytes), do: {byte_size(bytes), &binary_part(bytes, &1, &2)}
 
-  @doc "The buffer as it was before it was packed."
+  @doc "Returns the uncompressed buffer."
   @spec unpack(t(), codec :: integer() | nil) :: t()
   def unpack(buffer, nil), do: buffer
   def unpack({0, _read} = buffer, _codec), do: buffer
@@ -27,20 +27,20 @@ defmodule Situ.Bridge.Arrow.Buffer do
     end
   end
 
-  def unpack(_buffer, _codec), do: fail("a buffer packed in a way that is not known")
+  def unpack(_buffer, _codec), do: fail("a buffer is compressed with an unknown codec")
 
   defp unpacked(codec, bytes, size) when size in 0..@most do
     case Native.unpack(codec, bytes, size) do
       {:ok, unpacked} when byte_size(unpacked) == size -> unpacked
-      {:ok, _} -> fail("a buffer unpacks to another size")
-      {:error, why} -> fail("a buffer that cannot be unpacked: #{inspect(why)}")
+      {:ok, _} -> fail("a buffer does not unpack to its declared size")
+      {:error, why} -> fail("a buffer cannot be unpacked: #{inspect(why)}")
     end
   end
 
-  defp unpacked(_codec, _bytes, size), do: fail("a buffer that unpacks to #{size} bytes")
+  defp unpacked(_codec, _bytes, size), do: fail("a buffer claims to unpack to #{size} bytes")
 
   @doc """
-  Reads `n` bytes at `at`.
+  Reads `n` bytes at the offset `at`.
 
       iex> alias Situ.Bridge.Arrow.Buffer
       iex> Buffer.read(Buffer.from_binary("abcdef"), 2, 3)
@@ -49,7 +49,7 @@ defmodule Situ.Bridge.Arrow.Buffer do
   @spec read(t(), integer(), integer()) :: binary()
   def read(_buffer, _at, 0), do: ""
   def read({size, read}, at, n) when at >= 0 and n > 0 and at + n <= size, do: read.(at, n)
-  def read(_buffer, _at, _n), do: fail("a buffer that is too short for its rows")
+  def read(_buffer, _at, _n), do: fail("a buffer is too short for its rows")
 
   defp fail(why), do: throw({:not_arrow, why})
 end

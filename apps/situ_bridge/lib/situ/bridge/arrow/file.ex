@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Arrow.File do
   @moduledoc false
-  # Reads an Arrow file: its columns, and the rows of its batches, some at a time. The streaming form has no footer:
-  # opening it goes through its messages once.
+  # Reads an Arrow file: its columns, and the rows of its batches, a few at a time. The streaming format has no
+  # footer, so opening it scans its messages once.
   @behaviour Situ.Bridge.Columnar.Reader
   alias Situ.Bridge.Arrow.{Batch, FlatBuffer, Schema, Values}
   alias Situ.Bridge.Columnar.Input
@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Arrow.File do
   @enforce_keys [:path, :columns, :left_out, :times, :groups]
   defstruct @enforce_keys
 
-  @typedoc "A group is a batch, with the dictionaries that are in force for it."
+  @typedoc "A group is a batch and the dictionaries that apply to it."
   @type t :: %__MODULE__{
           path: Path.t(),
           columns: [Schema.column()],
@@ -35,7 +35,7 @@ defmodule Situ.Bridge.Arrow.File do
       case read.(0, min(8, size)) do
         "ARROW1" <> _ -> footer(size, read)
         <<0xFFFFFFFF::32, _::binary>> -> messages(size, read)
-        _ -> fail("it begins neither as a file nor as a stream of Arrow")
+        _ -> fail("it does not begin like an Arrow file or an Arrow stream")
       end
 
     {columns, left_out, dictionaries} = Schema.decode(bytes, at, version)
@@ -55,7 +55,7 @@ defmodule Situ.Bridge.Arrow.File do
     n =
       case read.(size - 10, 10) do
         <<n::little-32, "ARROW1">> when n <= @most_metadata and n + 18 <= size -> n
-        _ -> fail("it does not end in ARROW1: it is cut short, or was never finished")
+        _ -> fail("it does not end in ARROW1: it was truncated or never finished")
       end
 
     bytes = read.(size - 10 - n, n)
@@ -73,7 +73,7 @@ defmodule Situ.Bridge.Arrow.File do
     end
   end
 
-  # A stream ends with its mark, or where it is cut short.
+  # A stream ends at its end marker, or at the point where it was truncated.
   defp messages(size, read) do
     found = message({size, read}, 0, [])
 
@@ -94,7 +94,7 @@ defmodule Situ.Bridge.Arrow.File do
         root = FlatBuffer.root(bytes)
         kind = FlatBuffer.number(bytes, root, 1, :u8, 0)
         body = FlatBuffer.number(bytes, root, 3, :i64, 0)
-        header = FlatBuffer.object(bytes, root, 2) || fail("a message without a header")
+        header = FlatBuffer.object(bytes, root, 2) || fail("a message has no header")
         next = at + 8 + n + body
 
         if body in 0..@most_body and next <= size,
@@ -108,7 +108,7 @@ defmodule Situ.Bridge.Arrow.File do
 
   defp message(_file, _at, found), do: Enum.reverse(found)
 
-  # A stream may send a dictionary again, for the batches that follow.
+  # A stream may replace a dictionary for the batches that follow.
   defp groups(messages, dictionaries, read) do
     {groups, _known} =
       Enum.flat_map_reduce(messages, %{}, fn
@@ -120,11 +120,11 @@ defmodule Situ.Bridge.Arrow.File do
     groups
   end
 
-  # The entries of a dictionary; a delta adds to those that are known.
+  # Adds the entries of a dictionary. A delta extends the known entries, otherwise they are replaced.
   defp put_dictionary(known, block, dictionaries, read) do
     {bytes, root} = Batch.metadata(block, @dictionary, read)
     id = FlatBuffer.number(bytes, root, 0, :i64, 0)
-    at = FlatBuffer.object(bytes, root, 1) || fail("a dictionary without entries")
+    at = FlatBuffer.object(bytes, root, 1) || fail("a dictionary has no entries")
 
     case dictionaries do
       %{^id => column} ->

@@ -1,16 +1,16 @@
 defmodule Situ.Bridge.Arrow.FlatBuffer do
   @moduledoc false
-  # FlatBuffers (https://flatbuffers.dev/internals): the little of it that Arrow's metadata needs. Pure. Whatever points
-  # outside of the bytes throws `{:not_arrow, why}`.
+  # FlatBuffers (https://flatbuffers.dev/internals), limited to the features that Arrow's metadata needs. Pure. Any
+  # offset outside the bytes throws `{:not_arrow, why}`.
   #
-  # Written is each object before those that it points to; a table's list of places stands before it.
+  # Objects are written before the objects that they refer to, and a table's vtable directly before the table.
   import Bitwise
 
   @type field ::
           {:u8 | :i16 | :i32 | :i64, integer()}
           | {:bool, boolean()}
           | {:ref, t()}
-  @typedoc "A table has fields by their numbers; structs are bytes of one size, of 64-bit numbers."
+  @typedoc "A table maps field numbers to fields. All structs of a vector have the same size, in units of 64 bits."
   @type t ::
           {:table, [{non_neg_integer(), field()}]}
           | {:string, String.t()}
@@ -19,14 +19,14 @@ defmodule Situ.Bridge.Arrow.FlatBuffer do
 
   @sizes %{u8: 1, bool: 1, i16: 2, i32: 4, i64: 8, ref: 4}
 
-  @doc "The bytes of a table, which starts them."
+  @doc "Encodes a table as the root of a buffer."
   @spec encode(t()) :: binary()
   def encode({:table, _} = root) do
     {bytes, start} = put(root, 4)
     IO.iodata_to_binary([<<start::little-32>>, bytes])
   end
 
-  # Bytes from `at` on, and where the object starts.
+  # Returns the bytes from `at` on, and the offset of the object.
   defp put({:string, text}, at) do
     start = aligned(at, 4)
     {[pad(at, start), <<byte_size(text)::little-32>>, text, 0], start}
@@ -82,7 +82,7 @@ defmodule Situ.Bridge.Arrow.FlatBuffer do
      ], start}
   end
 
-  # Objects behind each other from `at` on: how far each is from the place that points to it.
+  # Puts objects one after another from `at` on; returns the offset of each, relative to the field that refers to it.
   defp point(placed, at) do
     Enum.reduce(placed, {%{}, [], at}, fn {place, object}, {offsets, bytes, at} ->
       {more, start} = put(object, at)
@@ -99,11 +99,11 @@ defmodule Situ.Bridge.Arrow.FlatBuffer do
   defp aligned(at, n), do: at + n - 1 &&& bnot(n - 1)
   defp pad(from, to), do: <<0::size((to - from) * 8)>>
 
-  @doc "Where the root table is."
+  @doc "Returns the offset of the root table."
   @spec root(binary()) :: non_neg_integer()
   def root(bytes), do: unsigned(bytes, 0, 4)
 
-  @doc "A table's number in `slot`; `default` where there is none."
+  @doc "Reads the number in `slot` of a table, or returns `default` if the field is absent."
   @spec number(binary(), non_neg_integer(), non_neg_integer(), field_kind, integer()) :: integer()
         when field_kind: :u8 | :i16 | :i32 | :i64
   def number(bytes, table, slot, kind, default) do
@@ -113,22 +113,22 @@ defmodule Situ.Bridge.Arrow.FlatBuffer do
     end
   end
 
-  @doc "Where the object is that `slot` points to, or `nil`."
+  @doc "Returns the offset of the object that `slot` refers to, or `nil`."
   @spec object(binary(), non_neg_integer(), non_neg_integer()) :: non_neg_integer() | nil
   def object(bytes, table, slot) do
     with at when at != nil <- place(bytes, table, slot), do: at + unsigned(bytes, at, 4)
   end
 
-  @doc "A text; `nil` where there is none."
+  @doc "Reads the string in `slot` of a table, or returns `nil` if the field is absent."
   @spec string(binary(), non_neg_integer(), non_neg_integer()) :: String.t() | nil
   def string(bytes, table, slot) do
     with at when at != nil <- object(bytes, table, slot) do
       text = part(bytes, at + 4, unsigned(bytes, at, 4))
-      if String.valid?(text), do: text, else: fail("a name that is no text")
+      if String.valid?(text), do: text, else: fail("a name is not valid UTF-8")
     end
   end
 
-  @doc "The tables of a vector."
+  @doc "Returns the offsets of the tables in a vector."
   @spec tables(binary(), non_neg_integer(), non_neg_integer()) :: [non_neg_integer()]
   def tables(bytes, table, slot) do
     {at, count} = vector(bytes, table, slot, 4)
@@ -139,14 +139,14 @@ defmodule Situ.Bridge.Arrow.FlatBuffer do
     end
   end
 
-  @doc "The structs of a vector, of `size` bytes each."
+  @doc "Reads the structs of a vector, each `size` bytes long."
   @spec structs(binary(), non_neg_integer(), non_neg_integer(), pos_integer()) :: [binary()]
   def structs(bytes, table, slot, size) do
     {at, count} = vector(bytes, table, slot, size)
     for i <- 0..(count - 1)//1, do: part(bytes, at + size * i, size)
   end
 
-  # Where its first element is, and how many there are: no more than there are bytes for.
+  # Returns the offset of the first element and the number of elements, which is limited by the number of bytes.
   defp vector(bytes, table, slot, size) do
     case object(bytes, table, slot) do
       nil ->
@@ -154,14 +154,14 @@ defmodule Situ.Bridge.Arrow.FlatBuffer do
 
       at ->
         count = unsigned(bytes, at, 4)
-        if count * size > byte_size(bytes), do: fail("a vector beyond the end")
+        if count * size > byte_size(bytes), do: fail("a vector extends beyond the end")
         {at + 4, count}
     end
   end
 
   defp place(bytes, table, slot) do
     vtable = table - signed(bytes, table, 4, :i32)
-    if vtable < 0, do: fail("a table without its places")
+    if vtable < 0, do: fail("a table has no vtable")
     size = unsigned(bytes, vtable, 2)
 
     if 4 + 2 * slot + 2 <= size do
@@ -185,6 +185,6 @@ defmodule Situ.Bridge.Arrow.FlatBuffer do
   defp part(bytes, at, size) when at >= 0 and at + size <= byte_size(bytes),
     do: binary_part(bytes, at, size)
 
-  defp part(_bytes, _at, _size), do: fail("its metadata points outside of itself")
+  defp part(_bytes, _at, _size), do: fail("an offset in its metadata is out of range")
   defp fail(why), do: throw({:not_arrow, why})
 end

@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.Arrow.Schema do
   @moduledoc false
-  # The fields of an Arrow file (Schema.fbs): written from columns, and read as what each column holds and where its
-  # buffers are in a batch. Pure. Throws `{:not_arrow, why}`.
+  # The schema of an Arrow file (Schema.fbs). Encodes columns as a schema, and decodes a schema into the type of each
+  # column and the position of its buffers in a batch. Pure. Throws `{:not_arrow, why}`.
   alias Situ.Bridge.Arrow.FlatBuffer
   alias Situ.Bridge.Columnar.{Column, Names}
 
   @deepest 64
-  # Version 5 of the metadata.
+  # The value of MetadataVersion.V5.
   @version_1_0 4
   @kinds %{
     0 => "nothing",
@@ -36,9 +36,9 @@ defmodule Situ.Bridge.Arrow.Schema do
   @nanoseconds %{0 => 1_000_000_000, 1 => 1_000_000, 2 => 1_000, 3 => 1}
 
   @typedoc """
-  A column that can be read: `node`, `buffer` and `view` count the nodes, buffers and string views before it in a batch;
-  `dictionary` is its number where values are numbers of entries (of the type `index`). Lists, maps and structs have
-  `children`.
+  A readable column. `node`, `buffer` and `view` are the numbers of nodes, buffers and string views before it in a
+  batch. If its values are indexes (of the type `index`) into a dictionary, `dictionary` is the id of that dictionary.
+  Lists, maps and structs have `children`.
   """
   @type column :: %{
           name: String.t(),
@@ -52,7 +52,7 @@ defmodule Situ.Bridge.Arrow.Schema do
           children: [column()]
         }
 
-  @doc "The schema of these columns."
+  @doc "Encodes the schema of these columns."
   @spec encode([Column.t()]) :: FlatBuffer.t()
   def encode(columns),
     do: {:table, [{0, {:i16, 0}}, {1, {:ref, {:vector, Enum.map(columns, &field/1)}}}]}
@@ -78,21 +78,21 @@ defmodule Situ.Bridge.Arrow.Schema do
   defp type(:text), do: {20, []}
 
   @doc """
-  Returns the columns that can be read, the names and types of the others, and by the number of each dictionary the
-  column of its entries. Of several columns of one name, the later ones are numbered.
+  Returns the readable columns, the names and types of the other columns, and for each dictionary id the column that
+  holds its entries. If several columns have the same name, the later ones are numbered.
   """
   @spec decode(binary(), non_neg_integer(), version :: integer()) ::
           {[column()], [{name :: String.t(), type :: String.t()}], %{integer() => column()}}
   def decode(bytes, schema, version) do
     if FlatBuffer.number(bytes, schema, 0, :i16, 0) != 0,
-      do: throw({:not_arrow, "its numbers have their highest byte first"})
+      do: throw({:not_arrow, "its numbers are big-endian"})
 
     fields = FlatBuffer.tables(bytes, schema, 1)
     {found, _places} = Enum.map_reduce(fields, {0, 0, 0}, &column(bytes, &1, &2, 0))
 
-    # Those unions had one buffer more, so that the columns after them would be read at wrong places.
+    # Before version 5, unions had an additional buffer, which would shift the buffers of all later columns.
     if version < @version_1_0 and Enum.any?(fields, &union?(bytes, &1)),
-      do: throw({:not_arrow, "it has unions as they were before Arrow 1.0"})
+      do: throw({:not_arrow, "it has unions in the format used before Arrow 1.0"})
 
     found = Names.distinguish(found)
     {left_out, columns} = Enum.split_with(found, &is_map_key(&1, :left_out))
@@ -107,14 +107,14 @@ defmodule Situ.Bridge.Arrow.Schema do
 
   defp entries(%{dictionary: nil, children: children}), do: Enum.flat_map(children, &entries/1)
 
-  # A batch of entries has this column only.
+  # The batch of a dictionary contains only this column.
   defp entries(%{dictionary: id} = column) do
     first = %{node: 0, buffer: 0, view: 0, dictionary: nil, index: nil, time?: false}
     [{id, Map.merge(column, Map.put(first, :name, "dictionary #{id}"))}]
   end
 
   defp column(_bytes, _field, _place, depth) when depth > @deepest,
-    do: throw({:not_arrow, "its fields are too deep"})
+    do: throw({:not_arrow, "its fields are nested too deeply"})
 
   defp column(bytes, field, {node, buffer, view} = place, depth) do
     name = FlatBuffer.string(bytes, field, 0) || ""
@@ -144,7 +144,7 @@ defmodule Situ.Bridge.Arrow.Schema do
     end
   end
 
-  # Returns the type of a column that cannot be read, in words, or `nil`.
+  # Describes the type of an unreadable column; returns `nil` if the column is readable.
   defp left_out(bytes, field, {type, id, index, children}) do
     kind = kind_name(FlatBuffer.number(bytes, field, 2, :u8, 0))
 
@@ -159,7 +159,7 @@ defmodule Situ.Bridge.Arrow.Schema do
 
   defp kind_name(kind), do: Map.get(@kinds, kind, "type #{kind}")
 
-  # The columns in a list, a map or a struct: the first one's place is after its own buffers.
+  # Decodes the columns inside a list, map or struct. The first one follows the parent's own buffers.
   defp children(type, bytes, field, {node, buffer, view}, depth) do
     if nests?(type) do
       kind = FlatBuffer.number(bytes, field, 2, :u8, 0)
@@ -182,7 +182,7 @@ defmodule Situ.Bridge.Arrow.Schema do
       {nil, :struct, [_ | _]} -> children
       {nil, :map, [%{type: :struct, dictionary: nil, children: [_, _]}]} -> children
       {nil, {_list, _}, [_]} -> children
-      _ -> {:left_out, "columns that do not fit it"}
+      _ -> {:left_out, "unsuitable columns"}
     end
   end
 
@@ -200,9 +200,9 @@ defmodule Situ.Bridge.Arrow.Schema do
     end
   end
 
-  # Counts the nodes, buffers and string views of a field and of everything in it.
+  # Counts the nodes, buffers and string views of a field and its descendants.
   defp next_place(_bytes, _field, _place, depth) when depth > @deepest,
-    do: throw({:not_arrow, "its fields are too deep"})
+    do: throw({:not_arrow, "its fields are nested too deeply"})
 
   defp next_place(bytes, field, {node, buffer, view}, depth) do
     kind = FlatBuffer.number(bytes, field, 2, :u8, 0)
@@ -218,7 +218,7 @@ defmodule Situ.Bridge.Arrow.Schema do
     end
   end
 
-  # Null and run-end encoded have none; structs and lists of one size have the presence only.
+  # Null and run-end encoded columns have no buffers; structs and fixed-size lists have only a validity bitmap.
   defp buffers(kind, _bytes, _field) when kind in [1, 22], do: 0
   defp buffers(kind, _bytes, _field) when kind in [13, 16], do: 1
   defp buffers(kind, _bytes, _field) when kind in [4, 5, 19, 20, 25, 26], do: 3
@@ -273,14 +273,14 @@ defmodule Situ.Bridge.Arrow.Schema do
     if scale in 0..76 and bits in [32, 64, 128, 256], do: {:decimal, bits, scale}, else: :unknown
   end
 
-  # Days, or milliseconds.
+  # Dates are stored as days or as milliseconds.
   defp number_type(bytes, 8, type) do
     if FlatBuffer.number(bytes, type, 0, :i16, 1) == 0,
       do: {:times, 32, 86_400_000_000_000, false},
       else: {:times, 64, 1_000_000, false}
   end
 
-  # The time of a day.
+  # Times of day are 32 or 64 bits wide.
   defp number_type(bytes, 9, type) do
     bits = FlatBuffer.number(bytes, type, 1, :i32, 32)
     if bits in [32, 64], do: times(bytes, type, bits, 1, false), else: :unknown

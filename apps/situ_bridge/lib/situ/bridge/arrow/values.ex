@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Arrow.Values do
   @moduledoc false
-  # Any values of one column in a batch, from its buffers: those that are asked for, and no others. Pure, but for what
-  # the buffers read. Throws `{:not_arrow, why}`.
+  # Reads a range of values of one column from the buffers of a batch. Pure, except for the reads of the buffers.
+  # Throws `{:not_arrow, why}`.
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Arrow.Buffer
 
@@ -9,8 +9,8 @@ defmodule Situ.Bridge.Arrow.Values do
   @most_missing 10_000_000
 
   @typedoc """
-  A column in a batch: `presence` is `nil` where nothing is missing; `children` are the columns within it, by their
-  names; `entries` are those of its dictionary, where it has one.
+  A column in a batch: `presence` is its validity bitmap, or `nil` if no value is missing; `children` are the nested
+  columns by name; `entries` are the entries of its dictionary, if it has one.
   """
   @type column :: %{
           type: term(),
@@ -22,7 +22,7 @@ defmodule Situ.Bridge.Arrow.Values do
         }
 
   @doc """
-  The values of `n` rows from the row `from` on, `nil` where one is missing.
+  Reads the values of `n` rows, starting at the row `from`. Missing values are `nil`.
 
       iex> alias Situ.Bridge.Arrow.{Buffer, Values}
       iex> item = %{type: {:integer, 8, true}, rows: 4, presence: nil, buffers: [Buffer.from_binary(<<1, 2, 3, 4>>)]}
@@ -34,12 +34,12 @@ defmodule Situ.Bridge.Arrow.Values do
   """
   @spec read(column(), from :: integer(), n :: integer()) :: [term()]
   def read(%{rows: rows}, from, n) when from < 0 or n < 0 or from + n > rows,
-    do: fail("a list that goes beyond its items")
+    do: fail("a list extends beyond its items")
 
   def read(%{type: :null, rows: rows}, _from, n) when rows <= @most_missing,
     do: List.duplicate(nil, n)
 
-  def read(%{type: :null, rows: rows}, _from, _n), do: fail("#{rows} values that are missing")
+  def read(%{type: :null, rows: rows}, _from, _n), do: fail("a column has #{rows} missing values")
 
   def read(%{presence: presence} = column, from, n) do
     values = column.type |> nested(column, from, n) |> put_entries(column.entries)
@@ -49,7 +49,7 @@ defmodule Situ.Bridge.Arrow.Values do
 
   defp put_entries(values, nil), do: values
 
-  # A number means nothing where its value is missing.
+  # The index of a missing value is arbitrary, so it may be out of range.
   defp put_entries(values, entries) do
     for i <- values,
         do: if(i in 0..(tuple_size(entries) - 1)//1, do: elem(entries, i), else: :beyond)
@@ -59,7 +59,7 @@ defmodule Situ.Bridge.Arrow.Values do
     names = Enum.map(column.children, &elem(&1, 0))
 
     if Enum.any?(column.children, fn {_, child} -> child.rows != column.rows end),
-      do: fail("structs whose members have another number of rows")
+      do: fail("the members of a struct column differ in their number of rows")
 
     column.children
     |> Enum.map(fn {_, child} -> read(child, from, n) end)
@@ -72,7 +72,7 @@ defmodule Situ.Bridge.Arrow.Values do
   defp nested({:list, bits}, %{buffers: [ends], children: [{_, items}]}, from, n),
     do: lists(ends, bits, {from, n}, items)
 
-  # Pairs are structs of two members.
+  # The entries of a map are structs with two members.
   defp nested(:map, %{buffers: [ends], children: [{_, pairs}]}, from, n) do
     [{key, _}, {value, _}] = pairs.children
 
@@ -89,7 +89,7 @@ defmodule Situ.Bridge.Arrow.Values do
     lists
   end
 
-  # One more than there are values; where there are none, writers may leave the first one out.
+  # N values have N + 1 offsets, but writers may omit the offset of an empty column.
   defp ends(_ends, _bits, _from, 0), do: [0]
 
   defp ends(ends, bits, from, n) do
@@ -97,13 +97,13 @@ defmodule Situ.Bridge.Arrow.Values do
   end
 
   defp list(ends, {at, items}) do
-    if ends < at, do: fail("a list that ends before it begins")
+    if ends < at, do: fail("a list ends before it begins")
     {list, rest} = Enum.split(items, ends - at)
-    if length(list) != ends - at, do: fail("a list that goes beyond its items")
+    if length(list) != ends - at, do: fail("a list extends beyond its items")
     {list, {ends, rest}}
   end
 
-  defp present([true | _], [:beyond | _]), do: fail("a number beyond its dictionary")
+  defp present([true | _], [:beyond | _]), do: fail("an index is outside its dictionary")
   defp present([true | bits], [value | values]), do: [value | present(bits, values)]
   defp present([false | bits], [_ | values]), do: [nil | present(bits, values)]
   defp present([], []), do: []
@@ -133,7 +133,7 @@ defmodule Situ.Bridge.Arrow.Values do
   defp values({kind, bits}, [ends, bytes], from, n)
        when kind in [:text, :bytes] and bits in [32, 64] do
     [first | ends] = ends(ends, bits, from, n)
-    if List.last(ends, first) < first, do: fail("a text outside of its buffer")
+    if List.last(ends, first) < first, do: fail("a string is outside its buffer")
     bytes = Buffer.read(bytes, first, List.last(ends, first) - first)
 
     {values, _} =
@@ -146,16 +146,16 @@ defmodule Situ.Bridge.Arrow.Values do
 
   defp values({:view, kind}, [views | data], from, n) do
     views = records(views, from, n, 128)
-    # Views may lie over one another: a small file could name much.
+    # Views may overlap, so a small file could describe a huge amount of data.
     all = for <<size::little-32, _::96 <- views>>, reduce: 0, do: (sum -> sum + size)
-    if all > @most, do: fail("texts of #{all} bytes in one batch")
+    if all > @most, do: fail("the strings of one batch have #{all} bytes")
     data = List.to_tuple(data)
     for <<view::binary-16 <- views>>, do: view(kind, view, data)
   end
 
-  defp values(_type, _buffers, _from, _n), do: fail("a column without its buffers")
+  defp values(_type, _buffers, _from, _n), do: fail("the buffers of a column are missing")
 
-  # Up to twelve bytes stand in the view itself.
+  # Strings of up to twelve bytes are stored in the view itself.
   defp view(kind, <<n::little-32, bytes::binary-12>>, _data) when n <= 12,
     do: kind |> text(bytes, 0, n) |> :binary.copy()
 
@@ -163,19 +163,19 @@ defmodule Situ.Bridge.Arrow.Values do
        when which < tuple_size(data),
        do: text(kind, data |> elem(which) |> Buffer.read(at, n), 0, n)
 
-  defp view(_kind, _view, _data), do: fail("a text in a buffer that is not there")
+  defp view(_kind, _view, _data), do: fail("a string is in a buffer that does not exist")
 
   defp text(kind, bytes, at, n) when at >= 0 and n >= 0 and at + n <= byte_size(bytes) do
     text = binary_part(bytes, at, n)
 
     if kind == :text and not String.valid?(text),
-      do: fail("a text that is not UTF-8"),
+      do: fail("a string is not valid UTF-8"),
       else: text
   end
 
-  defp text(_kind, _bytes, _at, _n), do: fail("a text outside of its buffer")
+  defp text(_kind, _bytes, _at, _n), do: fail("a string is outside its buffer")
 
-  # The first of eight is the lowest.
+  # The first value of a byte is in its lowest bit.
   defp bits(buffer, from, n) do
     before = rem(from, 8)
 

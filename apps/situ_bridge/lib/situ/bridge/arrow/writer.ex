@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.Arrow.Writer do
   @moduledoc false
-  # An Arrow file (https://arrow.apache.org/docs/format/Columnar.html): the schema, batches of rows, and a footer that
-  # says where they are.
+  # Writes an Arrow file (https://arrow.apache.org/docs/format/Columnar.html): the schema, batches of rows, and a
+  # footer with their positions.
   @behaviour Situ.Bridge.Columnar.Writer
   alias Situ.Bridge.Arrow.{FlatBuffer, Schema}
   alias Situ.Bridge.Columnar.{Column, Output}
 
-  # Version 5 of the metadata.
+  # The value of MetadataVersion.V5.
   @version 4
 
   defstruct [:output, :columns, rows: 0, blocks: []]
@@ -20,7 +20,7 @@ defmodule Situ.Bridge.Arrow.Writer do
          do: {:ok, %__MODULE__{output: output, columns: columns}}
   end
 
-  # Four bytes of ones, the length, the metadata: together a multiple of 8.
+  # A message is 0xFFFFFFFF, the length and the metadata, padded together to a multiple of 8 bytes.
   defp message(kind, header, body) do
     metadata =
       FlatBuffer.encode(
@@ -73,7 +73,7 @@ defmodule Situ.Bridge.Arrow.Writer do
             %{writer | output: output, rows: writer.rows + rows, blocks: [block | writer.blocks]}}
   end
 
-  # The buffers of a column, and how many values are missing.
+  # Returns the buffers of a column and the number of missing values.
   defp buffers(column, {:bytes, bytes, _n}, _rows),
     do: {["", Column.pack_bytes(column.kind, bytes)], 0}
 
@@ -93,7 +93,7 @@ defmodule Situ.Bridge.Arrow.Writer do
     [[<<0::64>> | ends], Enum.map(values, &(&1 || ""))]
   end
 
-  # There is a place for what is missing.
+  # Missing values take up space, too; their content is arbitrary.
   defp packed(kind, values, _rows) do
     zero = if kind == :boolean, do: false, else: 0
     [Column.pack(kind, Enum.map(values, &if(&1 == nil, do: zero, else: &1)))]

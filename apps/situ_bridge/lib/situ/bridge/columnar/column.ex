@@ -1,13 +1,15 @@
 defmodule Situ.Bridge.Columnar.Column do
   @moduledoc false
-  # A column of a table that is written: what it is called and what it holds.
+  # A column of a table to be written: its name, and the kind of its values.
 
   @enforce_keys [:name, :kind]
   defstruct [:name, :kind, optional?: true]
 
   @type kind :: :time | :integer | :float | :boolean | :text | :bytes
   @type t :: %__MODULE__{name: String.t(), kind: kind(), optional?: boolean()}
-  @typedoc "`nil` is missing. `{:bytes, bytes, n}` are `n` numbers (truths: one byte each), of which none is missing."
+  @typedoc """
+  `nil` is a missing value. `{:bytes, bytes, n}` holds `n` packed numbers (or booleans, one byte each), none missing.
+  """
   @type values :: [term()] | {:bytes, binary(), pos_integer()}
 
   @special %{
@@ -16,7 +18,7 @@ defmodule Situ.Bridge.Columnar.Column do
     neg_infinity: <<0, 0, 0, 0, 0, 0, 0xF0, 0xFF>>
   }
 
-  @doc "Numbers as 8 bytes each, booleans as a bit each, the first of eight the lowest."
+  @doc "Packs numbers into 8 bytes each, and booleans into one bit each, starting with the lowest bit of a byte."
   @spec pack(kind(), [term()]) :: iodata()
   def pack(kind, values) when kind in [:time, :integer],
     do: for(n <- values, into: <<>>, do: <<n::little-signed-64>>)
@@ -30,17 +32,17 @@ defmodule Situ.Bridge.Columnar.Column do
   def pack(:boolean, values),
     do: bits(for(b <- values, into: <<>>, do: if(b, do: <<1::1>>, else: <<0::1>>)))
 
-  @doc "The same of the bytes of numbers."
+  @doc "Packs values that are already bytes; see `t:values/0`."
   @spec pack_bytes(kind(), binary()) :: iodata()
   def pack_bytes(:boolean, bytes), do: bits(for(<<b <- bytes>>, into: <<>>, do: <<b::1>>))
   def pack_bytes(_number, bytes), do: bytes
 
-  @doc "A bit for each value: whether it is there."
+  @doc "Returns one bit for each value: 1 if it is present."
   @spec presence([term()]) :: iodata()
   def presence(values),
     do: bits(for(v <- values, into: <<>>, do: if(v == nil, do: <<0::1>>, else: <<1::1>>)))
 
-  @doc "Bits in bytes, the first of eight the lowest, filled up with 0."
+  @doc "Packs bits into bytes, starting with the lowest bit, and pads them with zeros."
   @spec bits(bitstring()) :: iodata()
   def bits(<<a::1, b::1, c::1, d::1, e::1, f::1, g::1, h::1, rest::bitstring>>),
     do: [<<h::1, g::1, f::1, e::1, d::1, c::1, b::1, a::1>> | bits(rest)]

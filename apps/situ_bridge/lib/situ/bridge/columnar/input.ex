@@ -1,16 +1,16 @@
 defmodule Situ.Bridge.Columnar.Input do
   @moduledoc false
-  # The bytes of a file that is read by place, and the rows that a reader makes of them. A reader throws `{kind, why}`
-  # where the file breaks its format, and so does reading beyond the end of the file; callers get a `Situ.Error`.
+  # Random access to the bytes of a file, and the rows that a reader makes of them. A reader throws `{kind, why}` if
+  # the file violates its format, and so does reading beyond the end of the file. Callers get a `Situ.Error`.
   alias Situ.Error
 
-  @typedoc "The code of the errors, and the name of the format in their text."
+  @typedoc "The code of the errors, and the name of the format in their messages."
   @type format :: {kind :: atom(), name :: String.t()}
-  @typedoc "Reads so many bytes at a place of the file."
+  @typedoc "Reads `n` bytes at an offset of the file."
   @type read :: (at :: integer(), n :: non_neg_integer() -> binary())
   @type t :: {size :: non_neg_integer(), read()}
 
-  @doc "Returns the value that `fun` gives for the file. Errors: `:io`, and that of the format."
+  @doc "Calls `fun` with the open file and returns its result. Errors: `:io`, and the error of the format."
   @spec read(Path.t(), format(), (t() -> value)) :: {:ok, value} | {:error, Error.t()}
         when value: term()
   def read(path, format, fun) do
@@ -26,8 +26,8 @@ defmodule Situ.Bridge.Columnar.Input do
   end
 
   @doc """
-  Returns rows as a lazy enumerable. `start` makes a state of the opened file; `next` returns some rows and the next
-  state, or `:done`. Raises `Situ.Error`: `:io`, and that of the format.
+  Returns rows as a lazy enumerable. `start` turns the open file into a state; `next` returns some rows and the next
+  state, or `:done`. Raises `Situ.Error`: `:io`, or the error of the format.
   """
   @spec stream(Path.t(), format(), (t() -> state), (state -> {[row], state} | :done)) ::
           Enumerable.t()
@@ -47,7 +47,7 @@ defmodule Situ.Bridge.Columnar.Input do
     )
   end
 
-  # Where nothing starts, nobody else closes the file.
+  # If `start` throws, `Stream.resource/3` never calls the function that closes the file.
   defp start(path, format, start) do
     {file, input} = open(path, format)
 
@@ -72,12 +72,12 @@ defmodule Situ.Bridge.Columnar.Input do
   defp read_bytes(_file, _bounds, _at, 0), do: ""
 
   defp read_bytes(file, {size, kind}, at, n) do
-    if at < 0 or n < 0 or at + n > size, do: throw({kind, "it is cut short"})
+    if at < 0 or n < 0 or at + n > size, do: throw({kind, "it is truncated"})
 
     case :file.pread(file, at, n) do
       {:ok, bytes} when byte_size(bytes) == n -> bytes
       {:error, reason} -> throw({:io, reason})
-      _ -> throw({kind, "it is cut short"})
+      _ -> throw({kind, "it is truncated"})
     end
   end
 

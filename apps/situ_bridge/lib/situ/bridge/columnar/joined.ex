@@ -1,37 +1,37 @@
 defmodule Situ.Bridge.Columnar.Joined do
   @moduledoc false
-  # Several streams of a recording as rows of one table: a row for each message of one of them, with the others' values
-  # that are nearest to it in time, or in force at it.
+  # Joins several streams of a recording into the rows of one table. Each message of the first stream becomes a row,
+  # with the nearest (or latest) value of every other stream.
   alias Situ.{Message, Store}
 
   @rows 10_000
 
   @options [
-    on: [type: :string, required: true, doc: "The stream whose messages are the rows."],
+    on: [type: :string, required: true, doc: "The stream whose messages become the rows."],
     streams: [
       type: {:optional, {:list, :string}},
       default: nil,
-      doc: "The streams wanted; all by default that can be in a table."
+      doc: "The names of the streams to join; by default, all streams that fit into a table."
     ],
     take: [
       type: {:in, [:nearest, :latest]},
       default: :nearest,
-      doc: "The value nearest in time, or the last one up to then."
+      doc: "`:nearest`: the value nearest in time; `:latest`: the last value up to that time."
     ],
     within: [
       type: {:optional, :pos_integer},
       default: nil,
-      doc: "A value that is further away (ns) is missing."
+      doc: "The maximum distance in time (ns); values further away are treated as missing."
     ]
   ]
 
-  @doc "The options of a join."
+  @doc "Returns the schema of a join's options."
   @spec options() :: keyword()
   def options, do: @options
 
   @doc """
-  Messages whose data are maps of the streams' values by their names, in lists; enumerating reads the recording.
-  `names` are the streams besides the first; `reading` are options of `Situ.Store.messages/3`.
+  Returns lists of messages whose data are maps from stream names to values. Enumerating them reads the recording.
+  `names` are the streams to join to `on`; `reading` are options of `Situ.Store.messages/3`.
   """
   @spec parts(Store.t(), String.t(), [String.t()], keyword(), keyword()) :: Enumerable.t()
   def parts(store, on, names, opts, reading) do
@@ -54,7 +54,7 @@ defmodule Situ.Bridge.Columnar.Joined do
   defp zipped([], n), do: List.duplicate([], n)
   defp zipped(picked, _n), do: Enum.zip_with(picked, & &1)
 
-  # The messages of the other stream are passed over once; only those that are picked are kept.
+  # Reads the messages of the other stream once and keeps only the picked values.
   defp picked(store, name, [first | _] = times, opts, reading) do
     last = List.last(times)
     between = Keyword.merge(Keyword.take(reading, [:skip_damage]), from: first, to: last)

@@ -1,9 +1,9 @@
 defmodule Situ.Bridge.Columnar.Names do
   @moduledoc false
-  # Names of columns. A file may have several columns of one name; a row, which is a map, has one. Pure.
+  # Column names. A file may have several columns of the same name, but a row is a map and can hold only one. Pure.
 
   @doc """
-  Numbers the later ones of columns that have one name, by a name that no other column has.
+  Appends numbers to duplicate column names, so that all names are different.
 
       iex> columns = for name <- ["x", "x", "x_1", "x"], do: %{name: name}
       iex> for column <- Situ.Bridge.Columnar.Names.distinguish(columns), do: column.name

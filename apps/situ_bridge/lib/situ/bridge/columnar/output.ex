@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Columnar.Output do
   @moduledoc false
-  # A file that has another name until it is whole.
+  # A file that is written under a temporary name until it is complete.
   alias Situ.Error
 
   @enforce_keys [:path, :file]
@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Columnar.Output do
 
   defp unfinished(path), do: path <> ".unfinished"
 
-  @doc "Appends; `at` is where it ends."
+  @doc "Appends bytes and advances `at`, the offset of the end."
   @spec write(t(), iodata()) :: {:ok, t()} | {:error, Error.t()}
   def write(output, bytes) do
     case :file.write(output.file, bytes) do
@@ -26,7 +26,7 @@ defmodule Situ.Bridge.Columnar.Output do
     end
   end
 
-  @doc "The file gets its own name."
+  @doc "Writes the tail, closes the file and renames it to its final name."
   @spec finish(t(), iodata()) :: :ok | {:error, Error.t()}
   def finish(output, tail) do
     with :ok <- :file.write(output.file, tail),
@@ -38,7 +38,7 @@ defmodule Situ.Bridge.Columnar.Output do
     end
   end
 
-  @doc "Deletes the unfinished file."
+  @doc "Closes and deletes the unfinished file."
   @spec abandon(t()) :: :ok
   def abandon(output) do
     :file.close(output.file)
@@ -46,7 +46,7 @@ defmodule Situ.Bridge.Columnar.Output do
     :ok
   end
 
-  defp failed(path, :enospc), do: Error.new(:disk_full, "no room left on the disk of #{path}")
+  defp failed(path, :enospc), do: Error.new(:disk_full, "no space left on the disk of #{path}")
 
   defp failed(path, reason),
     do: Error.new(:io, "cannot write #{path}", why: to_string(:file.format_error(reason)))

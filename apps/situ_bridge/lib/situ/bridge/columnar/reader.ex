@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.Columnar.Reader do
   @moduledoc false
-  # A file of columns that is read: its columns, and the rows of each of its groups.
+  # The behaviour of a reader of columnar files: opens a file, and streams the rows of each of its groups.
   alias Situ.Error
 
   @type column :: %{required(:name) => String.t(), optional(atom()) => term()}
   @typedoc """
-  `columns` are those that can be read, `left_out` the names and types of the others, `times` the names of those that
-  hold times.
+  `columns` are the readable columns, `left_out` the names and types of the other columns, and `times` the names of
+  the columns that hold times.
   """
   @type t :: %{
           required(:path) => Path.t(),
@@ -19,8 +19,8 @@ defmodule Situ.Bridge.Columnar.Reader do
 
   @callback open(Path.t()) :: {:ok, t()} | {:error, Error.t()}
   @doc """
-  The rows of one group as a lazy enumerable of lists of their columns' values; memory is that of a few rows. Raises
-  `Situ.Error`.
+  Returns the rows of one group as a lazy enumerable; a row is the list of its columns' values. Memory holds only a
+  few rows at a time. Raises `Situ.Error`.
   """
   @callback stream_rows(t(), group :: term(), [column()]) :: Enumerable.t()
 end

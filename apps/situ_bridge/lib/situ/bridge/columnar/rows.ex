@@ -1,7 +1,8 @@
 defmodule Situ.Bridge.Columnar.Rows do
   @moduledoc false
-  # Messages' data as rows of flat columns: one for the value, or one for each member of maps and structs, nested ones
-  # by `a.b`; lists and whatever else is no number, boolean, text or bytes as JSON. Pure.
+  # Converts the data of messages into rows of flat columns: one column for a plain value, or one for each member of
+  # maps and structs, with nested members named `a.b`. Lists and other values that are not numbers, booleans, strings
+  # or bytes are written as JSON. Pure.
   alias Situ.Bridge.Columnar.Column
   alias Situ.Bridge.Format.Value
   alias Situ.Store.Columns
@@ -11,12 +12,12 @@ defmodule Situ.Bridge.Columnar.Rows do
 
   @type kinds :: %{String.t() => Column.kind() | nil}
 
-  @doc "The kinds of columns, with one more part of a stream."
+  @doc "Merges the kinds of another part of a stream into the kinds of the columns."
   @spec part(kinds(), Columns.t() | [Situ.Message.t()]) :: kinds()
   def part(kinds, %Columns{kind: kind}), do: merge(kinds, "value", kind)
   def part(kinds, messages), do: Enum.reduce(messages, kinds, &add(&2, &1.data))
 
-  @doc "The kinds of columns, with one more message."
+  @doc "Merges the kinds of another message's data into the kinds of the columns."
   @spec add(kinds(), term()) :: kinds()
   def add(kinds, data) do
     data
@@ -35,13 +36,13 @@ defmodule Situ.Bridge.Columnar.Rows do
   defp put(kinds, _name, same, same), do: kinds
   defp put(kinds, name, _known, wider), do: Map.put(kinds, name, wider)
 
-  @doc "The columns behind those of the times, in order of their names; what never had a value is text."
+  @doc "Returns the columns that follow the times, sorted by name. A column that never had a value is text."
   @spec columns(kinds()) :: [Column.t()]
   def columns(kinds) do
     for {name, kind} <- Enum.sort(kinds), do: %Column{name: name, kind: kind || :text}
   end
 
-  @doc "The values of a message for these columns."
+  @doc "Returns the values of a message for these columns."
   @spec row(term(), [Column.t()]) :: [term()]
   def row(data, [%Column{name: "value"} = column]) when not is_map(data),
     do: [cell(data, column.kind)]

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Columnar.Writer do
   @moduledoc false
-  # A file of columns that is written. Errors: `:io`, `:disk_full`.
+  # The behaviour of a writer of columnar files. Errors: `:io`, `:disk_full`.
   alias Situ.Bridge.Columnar.Column
   alias Situ.Error
 
@@ -8,10 +8,10 @@ defmodule Situ.Bridge.Columnar.Writer do
 
   @callback create(Path.t(), [Column.t()], compression :: atom()) ::
               {:ok, t()} | {:error, Error.t()}
-  @doc "A group of rows: the values of each column."
+  @doc "Writes a group of rows, given as the values of each column."
   @callback write(t(), [Column.values()], rows :: pos_integer()) ::
               {:ok, t()} | {:error, Error.t()}
-  @doc "The end of the file, and its own name."
+  @doc "Writes the end of the file and renames it to its final name."
   @callback finish(t()) :: {:ok, rows :: non_neg_integer()} | {:error, Error.t()}
   @doc "Deletes the unfinished file."
   @callback abandon(t()) :: :ok

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Format.Csv do
   @moduledoc false
-  # Messages as records of comma-separated fields (RFC 4180), with a heading.
+  # Encodes messages as records of comma-separated fields (RFC 4180) with a heading.
   @behaviour Situ.Bridge.Format
   alias Situ.Bridge.Format.{Stamp, Value}
   alias Situ.Bridge.Format.Csv.{Number, Row}
@@ -21,7 +21,8 @@ defmodule Situ.Bridge.Format.Csv do
   def record(value, time, n) when is_integer(n),
     do: row(time, Enum.map(laid_out(value), &elem(&1, 1)))
 
-  # A record has the columns of the heading: a member that is not there is empty, one beyond them cannot be written.
+  # A record has the columns of the heading: missing members become empty fields, additional members cannot be
+  # written.
   def record(value, time, {_n, names}) do
     columns = laid_out(value)
 
@@ -50,7 +51,7 @@ defmodule Situ.Bridge.Format.Csv do
   @impl true
   def finish(_n), do: ""
 
-  # A list of nothing but floats is an array of doubles: it has columns of its own.
+  # A list that contains only floats is an array of doubles, which has a column per element.
   defp shape(list) when is_list(list) and list != [] do
     if Enum.all?(list, &double?/1), do: {:doubles, list}, else: Value.plain(list)
   end
@@ -67,7 +68,7 @@ defmodule Situ.Bridge.Format.Csv do
   defp columns(list) when is_list(list), do: []
   defp columns(value), do: [{@value, value}]
 
-  # Objects within objects are laid out flat, by the names of their members; lists within them have no columns.
+  # Nested objects are flattened into columns with the names of their members; nested lists have no columns.
   defp member({_key, {pairs}}), do: Enum.flat_map(pairs, &member/1)
   defp member({_key, list}) when is_list(list), do: []
   defp member(pair), do: [pair]
@@ -123,7 +124,7 @@ defmodule Situ.Bridge.Format.Csv do
     end
   end
 
-  # Messages before a fault are handed out first.
+  # Messages before an error are emitted first; the error is returned by the next call.
   defp stop(why, _bytes, _names, []), do: {:error, why}
   defp stop(_why, bytes, names, found), do: {:ok, Enum.reverse(found), {bytes, names}}
 
@@ -135,7 +136,8 @@ defmodule Situ.Bridge.Format.Csv do
         {:error, error.what}
 
       false ->
-        {:error, "a record has #{length(fields) + 1} fields, the heading #{length(names) + 1}"}
+        {:error,
+         "a record has #{length(fields) + 1} fields, but the heading has #{length(names) + 1}"}
     end
   end
 

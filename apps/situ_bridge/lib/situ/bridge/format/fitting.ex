@@ -1,9 +1,11 @@
 defmodule Situ.Bridge.Format.Fitting do
   @moduledoc false
-  # Messages that come with a definition of their own may have the name of a standard one, and other fields: whatever
-  # is made of them by the standard's fields is tried, not trusted.
+  # A message that carries its own definition may have the name of a standard message but different fields.
+  # Conversions that rely on the standard's fields therefore run inside `try/1`.
 
   @doc """
+  Returns the result of `make`, or `:error` if it raises because the message does not have the expected fields.
+
       iex> alias Situ.Bridge.Format.Fitting
       iex> {Fitting.try(fn -> {:ok, 1} end), Fitting.try(fn -> Map.fetch!(%{}, "x") end)}
       {{:ok, 1}, :error}

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Format.Frames do
   @moduledoc false
-  # A file of frames: a 32-bit length (little-endian) and a message, again and again; a length of 0 at the end.
+  # A file of frames, each with a 32-bit length (little-endian) and a message. A length of 0 ends the file.
 
   @most 64 * 1024 * 1024
 
@@ -10,14 +10,14 @@ defmodule Situ.Bridge.Format.Frames do
   def finish, do: <<0::32>>
   def start, do: :open
 
-  @doc "As `c:Situ.Bridge.Format.split/4`; `decode` reads one message."
+  @doc "Splits bytes as in `c:Situ.Bridge.Format.split/4`; `decode` decodes one message."
   def split(_bytes, :ended, _decode), do: {:ok, [], {"", :ended}}
   def split(bytes, :open, decode), do: frames(bytes, decode, [])
 
   defp frames(<<0::32, _::binary>>, _decode, found), do: {:ok, Enum.reverse(found), {"", :ended}}
 
   defp frames(<<n::little-32, _::binary>>, _decode, []) when n > @most,
-    do: {:error, "a frame of #{n} bytes"}
+    do: {:error, "a frame of #{n} bytes is too large"}
 
   defp frames(<<n::little-32, _::binary>> = bytes, _decode, found) when n > @most,
     do: {:ok, Enum.reverse(found), {bytes, :open}}

@@ -1,11 +1,11 @@
 defmodule Situ.Bridge.Format.Json do
   @moduledoc false
-  # Messages as JSON; a file is an array of them.
+  # Encodes messages as JSON; a file is an array of them.
   @behaviour Situ.Bridge.Format
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Format.{Stamp, Value}
 
-  # No message that anyone means to send is larger, and a file that never closes a bracket would fill the memory.
+  # Real messages are not larger than this; without a limit, an unclosed bracket would fill the memory.
   @most 64 * 1024 * 1024
 
   @impl true
@@ -24,7 +24,7 @@ defmodule Situ.Bridge.Format.Json do
     else
       {:error, :bad_json} -> {:error, "it is not JSON"}
       {:error, %Situ.Error{what: what}} -> {:error, "its originatingTime is #{what}"}
-      {:ok, _} -> {:error, "it is no object with originatingTime and message"}
+      {:ok, _} -> {:error, "it is not an object with originatingTime and message"}
       :error -> {:error, "it has no originatingTime or no message"}
     end
   end
@@ -40,7 +40,8 @@ defmodule Situ.Bridge.Format.Json do
   @impl true
   def start, do: :before
 
-  # :before the array's bracket, :within it before a value or a comma, :behind it.
+  # The states: `:before` the array's bracket, `:first` (a value or the end), `:within` (a value), `:next` (a comma or
+  # the end), and the state after the array.
   @impl true
   def split(bytes, state, last?, opts), do: split(bytes, state, last?, opts, [])
 
@@ -82,14 +83,14 @@ defmodule Situ.Bridge.Format.Json do
   defp split("", state, false, _opts, found), do: {:ok, Enum.reverse(found), {"", state}}
 
   defp split(<<c, _::binary>>, _state, _last?, _opts, []),
-    do: {:error, "it has #{inspect(<<c>>)} where a message, a comma or the end is due"}
+    do: {:error, "it has #{inspect(<<c>>)} where a message, a comma or the end is expected"}
 
   defp split(bytes, state, _last?, _opts, found), do: {:ok, Enum.reverse(found), {bytes, state}}
 
-  # A file cut short (its writer was killed) has what is whole.
+  # A truncated file, whose writer was killed, ends after its last complete message.
   defp ended(found), do: {:ok, Enum.reverse(found), {"", :behind}}
 
-  # The length of the object that `bytes` begin with.
+  # Returns the length of the object at the beginning of `bytes`.
   defp object(bytes), do: object(bytes, 0, 0)
 
   defp object(bytes, at, depth) do

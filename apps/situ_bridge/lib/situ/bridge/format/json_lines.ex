@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Format.JsonLines do
   @moduledoc false
-  # One JSON message a line.
+  # Encodes messages as one line of JSON each.
   @behaviour Situ.Bridge.Format
   alias Situ.Bridge.Format.Json
 
@@ -49,7 +49,7 @@ defmodule Situ.Bridge.Format.JsonLines do
           {:ok, timed} ->
             decoded(lines, rest, last?, opts, [timed | found])
 
-          # A last line that was cut short has no line break.
+          # A truncated last line has no line break.
           {:error, _} when last? and lines == [] ->
             {:ok, Enum.reverse(found), {"", nil}}
 

@@ -1,11 +1,11 @@
 defmodule Situ.Bridge.Format.MessagePack do
   @moduledoc false
-  # Messages as MessagePack; a file has frames, and a length of 0 at its end.
+  # Encodes messages as MessagePack; a file consists of frames and ends with a length of 0.
   @behaviour Situ.Bridge.Format
   alias Situ.Bridge.Format.{Frames, Stamp, Value}
   alias Situ.Bridge.MessagePack
 
-  # Nanoseconds that no tick tells stand beside it.
+  # Ticks are 100 ns, so the remaining nanoseconds are in a separate member.
   @impl true
   def encode(value, time) do
     {ticks, rest} = Stamp.to_ticks(time)
@@ -29,7 +29,7 @@ defmodule Situ.Bridge.Format.MessagePack do
       {:ok, {Stamp.from_ticks(ticks) + fine(pairs), Value.shaped(value, opts)}}
     else
       {:error, why} -> {:error, why}
-      {:ok, _, _} -> {:error, "it is no map, or has bytes left over"}
+      {:ok, _, _} -> {:error, "it is not a map, or bytes follow it"}
       _ -> {:error, "it has no message or no originatingTime in ticks"}
     end
   end

@@ -1,8 +1,8 @@
 defmodule Situ.Bridge.Format.Situ do
   @moduledoc false
-  # Messages as Situ's stores have them: the time (signed, 64 bits, little-endian), the length and the letters of a
-  # codec's name, and its bytes (`Situ.Codec`: pictures, sound, clouds ...); without a name an external term, checked as
-  # terms out of files are.
+  # Encodes messages in the format of Situ's stores: the time (signed, 64 bits, little-endian), the length of a
+  # codec's name, the name, and the codec's bytes (`Situ.Codec`: images, audio, point clouds ...). Without a name, the
+  # payload is an external term, which is checked like the terms in files.
   @behaviour Situ.Bridge.Format
   alias Situ.Bridge.Format.Frames
   alias Situ.Store.{Codecs, Terms}
@@ -34,11 +34,11 @@ defmodule Situ.Bridge.Format.Situ do
   defp value(name, payload) do
     case Codecs.find(name, nil) do
       nil ->
-        {:error, "no codec #{inspect(name)} is known"}
+        {:error, "the codec #{inspect(name)} is unknown"}
 
       codec ->
         with {:error, why} <- codec.decode(payload),
-             do: {:error, "as #{name} it is #{inspect(why)}"}
+             do: {:error, "it cannot be decoded as #{name}: #{inspect(why)}"}
     end
   end
 

@@ -1,11 +1,12 @@
 defmodule Situ.Bridge.Format.Stamp do
   @moduledoc false
-  # Originating times as other systems write them: ISO 8601 with seven decimals, or ticks of 100 ns since the year 1.
+  # Converts originating times to the notations of other systems: ISO 8601 with seven decimals, or ticks of 100 ns
+  # since the year 1.
 
   @epoch 621_355_968_000_000_000
 
   @doc """
-  ISO 8601 with seven decimals, nine where the time is no multiple of 100 ns.
+  Formats a time as ISO 8601 with seven decimals, or nine if the time is not a multiple of 100 ns.
 
       iex> Situ.Bridge.Format.Stamp.iso8601(1_234_567_800)
       "1970-01-01T00:00:01.2345678Z"
@@ -18,11 +19,13 @@ defmodule Situ.Bridge.Format.Stamp do
     if rem(time, 100) == 0, do: String.replace_suffix(text, "00Z", "Z"), else: text
   end
 
-  @doc "Ticks since the year 1, and the nanoseconds that are less than one."
+  @doc "Returns the ticks since the year 1 and the remaining nanoseconds."
   @spec to_ticks(Situ.Time.t()) :: {integer(), 0..99}
   def to_ticks(time), do: {Integer.floor_div(time, 100) + @epoch, Integer.mod(time, 100)}
 
   @doc """
+  Converts ticks since the year 1 to a time.
+
       iex> Situ.Bridge.Format.Stamp.from_ticks(621_355_968_000_000_001)
       100
   """

@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.Format.Value do
   @moduledoc false
-  # Shared by all formats: which terms are objects, and the order of their members.
+  # Shared by all formats: converts terms to objects with ordered members, and back.
 
   @special %{nan: "NaN", infinity: "Infinity", neg_infinity: "-Infinity"}
 
   @doc """
-  The term with objects as ordered pairs of string keys, and special numbers as text; a struct's fields come in the
-  order of its definition. Throws `{:not_writable, term}`.
+  Converts a term: objects become ordered pairs with string keys, special numbers become strings, and the fields of a
+  struct keep the order of its definition. Throws `{:not_writable, term}`.
 
       iex> Situ.Bridge.Format.Value.plain(%{b: [1, :nan], a: nil})
       {[{"a", nil}, {"b", [1, "NaN"]}]}
@@ -36,7 +36,7 @@ defmodule Situ.Bridge.Format.Value do
       else: struct |> Map.from_struct() |> Map.keys()
   end
 
-  @doc "Ordered pairs as maps, all the way down, unless `objects: :pairs` wants them."
+  @doc "Converts ordered pairs to maps recursively, unless `objects: :pairs` is given."
   @spec shaped(term(), keyword()) :: term()
   def shaped(value, opts), do: if(opts[:objects] == :pairs, do: value, else: maps(value))
 
@@ -44,7 +44,7 @@ defmodule Situ.Bridge.Format.Value do
   defp maps(list) when is_list(list), do: Enum.map(list, &maps/1)
   defp maps(other), do: other
 
-  @doc "The member of an object, or `:error`."
+  @doc "Fetches a member of an object; returns `:error` if it is missing."
   @spec fetch([{String.t(), term()}], String.t()) :: {:ok, term()} | :error
   def fetch(pairs, key) do
     case List.keyfind(pairs, key, 0) do

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Foxglove.Client do
   @moduledoc false
   # One connection: the WebSocket around a session. A client that does not read blocks only this process, which closes
-  # the connection after half a minute. So does one that begins a message and does not end it.
+  # the connection after 30 s. The process also closes it when a client does not finish a message in that time.
   use GenServer, restart: :temporary
   alias Situ.Bridge.Foxglove.{Session, Source}
   alias Situ.Bridge.Net.Outbox
@@ -80,7 +80,7 @@ defmodule Situ.Bridge.Foxglove.Client do
     end)
   end
 
-  # The time that a message may take runs from its first byte.
+  # The time limit for a message starts at its first byte.
   defp limit_message(%{said: "", begun: nil} = state, _events), do: %{state | deadline: nil}
   defp limit_message(%{deadline: deadline} = state, []) when deadline != nil, do: state
 

@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.Foxglove.Messages do
   @moduledoc false
-  # The definitions of Foxglove's messages (`priv/foxglove`), as the bytes of Protobuf have them.
+  # The definitions of Foxglove's messages (`priv/foxglove`), in their Protobuf form.
   alias Situ.Bridge.Protobuf.{Descriptor, Schema, Text}
 
   @external_resource path = Path.expand("../../../../priv/foxglove/foxglove.proto", __DIR__)
   @text File.read!(path)
 
-  @doc "`{messages, enums}` as `Schema.new/2` takes them."
+  @doc "Returns `{messages, enums}` in the form that `Schema.new/2` takes."
   @spec types() :: {list(), list()}
   def types do
     with :none <- :persistent_term.get({__MODULE__, :types}, :none) do
@@ -16,7 +16,7 @@ defmodule Situ.Bridge.Foxglove.Messages do
     end
   end
 
-  @doc "All of them."
+  @doc "Returns the schema with all of Foxglove's messages."
   @spec schema() :: Schema.t()
   def schema do
     with :none <- :persistent_term.get(__MODULE__, :none) do
@@ -26,7 +26,7 @@ defmodule Situ.Bridge.Foxglove.Messages do
     end
   end
 
-  @doc "Whether there is such a message."
+  @doc "Returns whether Foxglove defines a message of this name."
   @spec known?(String.t()) :: boolean()
   def known?(name), do: is_map_key(schema().messages, name)
 end

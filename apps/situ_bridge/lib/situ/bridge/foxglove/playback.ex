@@ -1,9 +1,9 @@
 defmodule Situ.Bridge.Foxglove.Playback do
   @moduledoc false
-  # Where the playback of a recording is. `now` is a clock in nanoseconds that only goes on. Pure.
+  # The playback position of a recording. `now` is a monotonic clock in nanoseconds. Pure.
   #
-  # A position moves by `advance/3` only, and in one go no further than `@longest`: while a client takes nothing, its
-  # playback waits for it.
+  # Only `advance/2` moves the position with the clock, and by at most `@longest` per call: while a client reads
+  # nothing, its playback waits for it.
 
   @longest 250_000_000
   @fastest 1_000.0
@@ -15,7 +15,7 @@ defmodule Situ.Bridge.Foxglove.Playback do
   @spec new(Situ.Time.t(), Situ.Time.t()) :: t()
   def new(from, to), do: %__MODULE__{from: from, to: to, at: from - 1}
 
-  @doc "Moves on to `now`."
+  @doc "Advances the position to clock time `now`."
   @spec advance(t(), integer()) :: t()
   def advance(%{seen: seen} = p, now) when seen == nil or p.paused, do: %{p | seen: now}
 
@@ -24,14 +24,14 @@ defmodule Situ.Bridge.Foxglove.Playback do
     %{p | at: min(p.at + round(passed * p.speed), p.to), seen: now}
   end
 
-  @doc "Goes back to a time that was reached: what is behind it waits."
+  @doc "Moves the position back to a time that was reached; later messages wait."
   @spec only_to(t(), Situ.Time.t()) :: t()
   def only_to(p, time), do: %{p | at: min(p.at, time)}
 
   @spec seek(t(), Situ.Time.t()) :: t()
   def seek(p, time), do: %{p | at: time |> max(p.from) |> min(p.to)}
 
-  @doc "Plays at a speed, above 0 and at most 1,000 times; 0 leaves it as it is."
+  @doc "Plays at the given speed, at most 1,000 times real time; a speed of 0 keeps the current one."
   @spec play(t(), number()) :: t()
   def play(p, speed), do: %{p | paused: false, speed: speed(p, speed)}
 

@@ -1,11 +1,11 @@
 defmodule Situ.Bridge.Foxglove.Session do
   @moduledoc false
-  # One client: what it subscribed to and how far it has been served. No process: `open/3`, `hear/3` and `tick/2` answer
-  # the frames to send and the next state; `now` is a clock in nanoseconds that only goes on.
+  # One client, with its subscriptions and the time up to which each was served. It is not a process: `open/3`,
+  # `hear/3` and `tick/2` return the frames to send and the next state. `now` is a monotonic clock in nanoseconds.
   alias Situ.Bridge.Foxglove.{Playback, Source, Wire}
 
   @protocols ["foxglove.sdk.v1", "foxglove.websocket.v1"]
-  # About so many bytes go out in one tick; the playback waits for the rest.
+  # The approximate limit of bytes sent in one tick; the playback waits for the rest.
   @most_at_once 4_000_000
   @look_every 1_000_000_000
   @parameters ~w(situ.paused situ.speed situ.position)
@@ -23,15 +23,15 @@ defmodule Situ.Bridge.Foxglove.Session do
 
   @type t :: %__MODULE__{}
 
-  @doc "The subprotocols, the best first."
+  @doc "Returns the supported subprotocols, the preferred one first."
   def protocols, do: @protocols
 
-  @doc "The first frames for a client, and the state; `name` is the server's."
+  @doc "Returns the first frames for a client, and the state; `name` is the name of the server."
   @spec open(Source.t(), String.t(), protocol :: String.t()) :: {[Wire.frame()], t()}
   def open(source, name, protocol) do
     {from, to} = Source.extent(source)
     playback = Playback.new(from, to)
-    # Who joins what is being recorded sees what comes.
+    # A client that joins a live recording receives only new messages.
     playback = if source.live?, do: Playback.seek(playback, to), else: playback
     session = %__MODULE__{source: source, playback: playback, sdk?: protocol == "foxglove.sdk.v1"}
     {advertise, session} = advertise(session)
@@ -76,7 +76,7 @@ defmodule Situ.Bridge.Foxglove.Session do
      %{session | told: told}}
   end
 
-  @doc "Handles a frame of the client."
+  @doc "Handles a frame from the client."
   @spec hear(t(), {:text | :binary, binary()}, now :: integer()) :: {[Wire.frame()], t()}
   def hear(session, frame, _now) do
     case Wire.read(frame) do
@@ -115,7 +115,7 @@ defmodule Situ.Bridge.Foxglove.Session do
       {[
          Wire.status(
            2,
-           "#{inspect(op, limit: 50, printable_limit: 50)} is not supported here, or lacks a member"
+           "#{inspect(op, limit: 50, printable_limit: 50)} is not supported, or lacks a required member"
          )
        ], session}
 
@@ -124,15 +124,15 @@ defmodule Situ.Bridge.Foxglove.Session do
     {Enum.concat(frames), session}
   end
 
-  # A subscriber begins with the message that holds.
+  # A new subscriber first receives the latest message at the playback's position.
   defp subscribe(%{"id" => id, "channelId" => channel}, session)
        when is_integer(id) and id in 0..0xFFFFFFFF do
     cond do
       not is_map_key(session.source.channels, channel) ->
-        {[Wire.status(2, "there is no channel #{inspect(channel, limit: 5)}")], session}
+        {[Wire.status(2, "the channel id #{inspect(channel, limit: 5)} does not exist")], session}
 
       is_map_key(session.wanted, id) ->
-        {[Wire.status(2, "the subscription #{id} is there already")], session}
+        {[Wire.status(2, "the subscription id #{id} is already in use")], session}
 
       true ->
         at = session.playback.at
@@ -142,7 +142,7 @@ defmodule Situ.Bridge.Foxglove.Session do
   end
 
   defp subscribe(_other, session),
-    do: {[Wire.status(2, "a subscription without id and channelId")], session}
+    do: {[Wire.status(2, "a subscription requires an integer `id` and a `channelId`")], session}
 
   defp held(session, id) do
     {channel, at} = session.wanted[id]
@@ -156,14 +156,14 @@ defmodule Situ.Bridge.Foxglove.Session do
     end)
   end
 
-  # The same error is reported once for each subscription.
+  # An error is reported once per subscription, even if it repeats.
   defp warn(session, id, why) do
     if id in session.warned,
       do: {[], session},
       else: {[Wire.status(1, why)], %{session | warned: MapSet.put(session.warned, id)}}
   end
 
-  # Parameters: for clients that know no control of the playback.
+  # Parameters serve clients that do not support playback control.
 
   defp known(names), do: Enum.filter(names, &(&1 in @parameters))
   defp named([]), do: @parameters
@@ -203,7 +203,7 @@ defmodule Situ.Bridge.Foxglove.Session do
       {[
          Wire.status(
            2,
-           "no such parameter, or a value that it cannot have: #{inspect(other, limit: 5)}"
+           "the parameter does not exist, or its value is invalid: #{inspect(other, limit: 5)}"
          )
        ], session}
 
@@ -221,9 +221,9 @@ defmodule Situ.Bridge.Foxglove.Session do
   end
 
   defp control(session, _command, _speed, _seek, _id),
-    do: {[Wire.status(2, "this protocol has no control of the playback")], session}
+    do: {[Wire.status(2, "playback control requires the subprotocol foxglove.sdk.v1")], session}
 
-  # A playback that has ended begins again.
+  # A playback that has ended restarts from the beginning.
   defp command(session, :play, speed) do
     ended? = Playback.status(session.playback) == :ended and not session.source.live?
     {frames, session} = if ended?, do: seek(session, session.playback.from), else: {[], session}
@@ -236,14 +236,16 @@ defmodule Situ.Bridge.Foxglove.Session do
   defp state(playback, seek?, id),
     do: Wire.playback_is(Playback.status(playback), playback.at, playback.speed, seek?, id)
 
-  # Every subscriber gets what holds there, and goes on from it.
+  # Every subscriber receives the latest message at the new position, and continues from there.
   defp seek(session, time) do
     playback = Playback.seek(session.playback, time)
     wanted = Map.new(session.wanted, fn {id, {channel, _}} -> {id, {channel, playback.at}} end)
     each(Map.keys(wanted), %{session | playback: playback, wanted: wanted}, &held(&2, &1))
   end
 
-  @doc "The frames that are due: messages up to the playback's time, or all new ones of a live recording."
+  @doc """
+  Returns the frames that are due: messages up to the playback's time, or all new messages of a live recording.
+  """
   @spec tick(t(), now :: integer()) :: {[Wire.frame()], t()}
   def tick(session, now) do
     {news, session} = look(session, now)
@@ -284,7 +286,7 @@ defmodule Situ.Bridge.Foxglove.Session do
 
   defp ended(_session, _before), do: []
 
-  # In order of time; where there is too much at once, the playback goes only as far as is sent.
+  # Messages are sent in order of time. If there are too many, the playback advances only to the last one sent.
   defp due(%{playback: %{at: at}} = session) do
     {lists, ends} =
       session.wanted
@@ -310,7 +312,7 @@ defmodule Situ.Bridge.Foxglove.Session do
     |> Enum.take_while(&(elem(&1, 0) <= reached))
     |> Enum.reduce_while({[], 0, nil}, fn {time, _, {_, result}} = message,
                                           {taken, bytes, last} ->
-      # All of one time belong together.
+      # Messages with the same time are sent together.
       if bytes > @most_at_once and time != last,
         do: {:halt, {taken, :full, last}},
         else: {:cont, {[message | taken], bytes + size(result), time}}

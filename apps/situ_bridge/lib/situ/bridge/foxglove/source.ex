@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.Foxglove.Source do
   @moduledoc false
-  # A recording as Foxglove's channels: which there are, how their messages are written, and those between two times.
+  # Presents the streams of a recording as Foxglove channels, and reads and encodes their messages.
   alias Situ.Bridge.Mcap.Channel
   alias Situ.Store
 
   @schema_encodings %{json: "jsonschema", ros1: "ros1msg", cdr: "ros2msg"}
   @encodings %{json: "json", ros1: "ros1", cdr: "cdr"}
-  # At most so many messages of a stream at a time.
+  # The limit of messages read from one stream at a time.
   @batch 500
 
   defstruct [:store, :live?, channels: %{}, skipped: %{}]
@@ -15,7 +15,7 @@ defmodule Situ.Bridge.Foxglove.Source do
   @spec new(Store.t()) :: t()
   def new(store), do: look(%__MODULE__{store: store, live?: Store.live?(store)})
 
-  @doc "Takes in streams that have messages now."
+  @doc "Adds the streams that have received their first message since the last call."
   @spec look(t()) :: t()
   def look(source) do
     new =
@@ -41,7 +41,7 @@ defmodule Situ.Bridge.Foxglove.Source do
   defp topic("/" <> _ = name), do: name
   defp topic(name), do: "/" <> String.replace(name, ~r/[. ]/, "/")
 
-  @doc "A channel as it is advertised."
+  @doc "Returns a channel as it is advertised to clients."
   @spec advertised(non_neg_integer(), Channel.t()) :: map()
   def advertised(id, channel) do
     {name, _language, schema} = channel.schema
@@ -56,13 +56,13 @@ defmodule Situ.Bridge.Foxglove.Source do
     }
   end
 
-  @doc "First and last time."
+  @doc "Returns the first and last time of the recording, or zeros if it is empty."
   @spec extent(t()) :: {Situ.Time.t(), Situ.Time.t()}
   def extent(source), do: Store.interval(source.store) || {0, 0}
 
   @doc """
-  A channel's messages after one time, up to another: `{time, bytes or why there are none}`, and whether these are
-  all.
+  Returns a channel's messages after `from`, up to `to`, as `{time, {:ok, bytes} | {:error, reason}}`, and whether
+  these are all of them.
   """
   @spec between(t(), non_neg_integer(), Situ.Time.t(), Situ.Time.t()) ::
           {[{Situ.Time.t(), {:ok, binary()} | {:error, String.t()}}], all? :: boolean()}
@@ -77,7 +77,7 @@ defmodule Situ.Bridge.Foxglove.Source do
     end
   end
 
-  @doc "The channel's message that holds at a time, if there is one."
+  @doc "Returns the channel's latest message at a time as a list, which is empty if there is none."
   @spec latest(t(), non_neg_integer(), Situ.Time.t()) :: [
           {Situ.Time.t(), {:ok, binary()} | {:error, String.t()}}
         ]

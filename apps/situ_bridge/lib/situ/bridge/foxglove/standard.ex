@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Foxglove.Standard do
   @moduledoc """
-  Foxglove's messages that Situ has types for, both ways; of their timestamps the time goes on. All others (`Log`,
-  `LaserScan`, `SceneUpdate` ...) stay maps, see `Situ.Bridge.Protobuf`.
+  Converts between Foxglove's messages and Situ's types. Timestamps are written from originating times. Messages
+  without a Situ type (`Log`, `LaserScan`, `SceneUpdate` ...) stay maps, see `Situ.Bridge.Protobuf`.
 
   | Foxglove | Situ |
   |---|---|
@@ -15,7 +15,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
   | `LocationFix` | `Situ.GeoPoint` |
   | `JointStates` | `Situ.JointState` |
   | `RawAudio` (`pcm-s16`) | `Situ.AudioBuffer` |
-  | `Log` | only out, of texts |
+  | `Log` | export only, from strings |
   """
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Format.Fitting
@@ -40,7 +40,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
   @float32 "FLOAT32"
   @colours ~w(red green blue)
 
-  @doc "The `Situ.Type` that messages of a type become."
+  @doc "Returns the `Situ.Type` of the values that messages of a Foxglove type are converted to."
   @spec type(String.t()) :: Situ.Type.t()
   def type(@package <> name), do: own(name)
   def type(_), do: :map
@@ -58,7 +58,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
   defp own("RawAudio"), do: {:or, [AudioBuffer, :map]}
   defp own(_), do: :map
 
-  @doc "A message as Situ's; one that makes no sense, or that Situ has no type for, stays a map."
+  @doc "Converts a message to Situ's type; an invalid message, or one without a Situ type, stays a map."
   @spec from(String.t(), map()) :: term()
   def from(@package <> name, message) do
     case Fitting.try(fn -> make(name, message) end) do
@@ -108,7 +108,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
     [names | lists] =
       for key <- ~w(name position velocity effort), do: Enum.map(joints, & &1[key])
 
-    # A list that one joint has no value for is left out for all.
+    # JointState has a value for each joint or for none: if one joint lacks a value, the list is left out.
     [p, v, e] = for list <- lists, do: if(nil in list, do: [], else: list)
     JointState.new(names, p, v, e)
   end
@@ -121,7 +121,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
 
   defp make(_name, _message), do: :error
 
-  # A part that is missing is the origin, and not turned.
+  # A missing position is the origin; a missing rotation is the identity.
   defp pose(position, rotation) do
     p = position || %{"x" => 0.0, "y" => 0.0, "z" => 0.0}
     q = rotation || %{"x" => 0.0, "y" => 0.0, "z" => 0.0, "w" => 1.0}
@@ -146,7 +146,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
     end
   end
 
-  # A cloud with a place of its own would have to be moved there.
+  # Only clouds with an identity pose are converted: the points of others would have to be transformed first.
   defp plain?(nil), do: true
   defp plain?(m), do: pose(m["position"], m["orientation"]) == {:ok, Pose.identity()}
 
@@ -160,7 +160,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
     end
   end
 
-  @doc "The type of Foxglove's that fits data, or `nil`."
+  @doc "Returns the name of the Foxglove type that fits data, or `nil`."
   @spec message_type(term()) :: String.t() | nil
   def message_type(%DepthImage{}), do: @package <> "RawImage"
   def message_type(%Image{} = image), do: if(Pixels.name(image), do: @package <> "RawImage")
@@ -178,8 +178,8 @@ defmodule Situ.Bridge.Foxglove.Standard do
   def message_type(_), do: nil
 
   @doc """
-  Data as a message of a type: Situ's types become Foxglove's with `time` as their timestamp and `frame` as the frame
-  they are in; maps, and whatever else, stay.
+  Converts data to a message of a type. Situ's types become Foxglove's, with `time` as their timestamp and `frame` as
+  their frame of reference; maps and other values are returned unchanged.
   """
   @spec to(String.t(), term(), Situ.Time.t(), String.t()) :: term()
   def to(name, value, time, frame \\ "")

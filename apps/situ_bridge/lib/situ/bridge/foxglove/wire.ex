@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Foxglove.Wire do
   @moduledoc false
-  # The messages of Foxglove's WebSocket protocol, of both families (https://github.com/foxglove/ws-protocol): JSON texts
-  # with an `op`, and binary messages of an opcode and little-endian numbers. Pure.
+  # The messages of Foxglove's WebSocket protocol, for both subprotocols (https://github.com/foxglove/ws-protocol):
+  # JSON texts with an `op`, and binary messages with an opcode and little-endian numbers. Pure.
 
   @most_time 0xFFFFFFFFFFFFFFFF
 
@@ -11,13 +11,13 @@ defmodule Situ.Bridge.Foxglove.Wire do
           | {:playback, :play | :pause, speed :: float(), seek :: integer() | nil, id :: binary()}
           | {:error, String.t()}
 
-  @doc "Parses a frame of a client."
+  @doc "Parses a frame from a client."
   @spec read({:text | :binary, binary()}) :: heard()
   def read({:text, text}) do
     case Situ.JSON.decode(text) do
       {:ok, %{"op" => op} = message} when is_binary(op) -> {:op, op, message}
-      {:ok, _} -> {:error, "a message without op"}
-      {:error, _} -> {:error, "a message that is not JSON"}
+      {:ok, _} -> {:error, "the message has no `op`"}
+      {:error, _} -> {:error, "the message is not JSON"}
     end
   end
 
@@ -32,16 +32,18 @@ defmodule Situ.Bridge.Foxglove.Wire do
          id}
 
       _ ->
-        {:error, "a playback request with a speed that is none"}
+        {:error, "the speed of the playback request is not a number of at least 0"}
     end
   end
 
   def read({:binary, <<op, _::binary>>}),
-    do: {:error, "a message of the kind #{op}, which is not supported here"}
+    do: {:error, "binary messages with opcode #{op} are not supported"}
 
-  def read({:binary, ""}), do: {:error, "an empty message"}
+  def read({:binary, ""}), do: {:error, "the message is empty"}
 
   @doc """
+  Encodes a JSON message.
+
       iex> Situ.Bridge.Foxglove.Wire.op("unadvertise", channelIds: [1])
       {:text, ~s({"op":"unadvertise","channelIds":[1]})}
   """
@@ -49,7 +51,7 @@ defmodule Situ.Bridge.Foxglove.Wire do
   def op(name, members),
     do: {:text, members |> Map.new() |> Map.put(:op, name) |> Situ.JSON.encode()}
 
-  @doc "A warning (1) or an error (2) for people."
+  @doc "Encodes a warning (level 1) or an error (level 2) that the client shows to its user."
   @spec status(1 | 2, String.t()) :: frame()
   def status(level, text), do: op("status", level: level, message: text)
 
@@ -71,6 +73,6 @@ defmodule Situ.Bridge.Foxglove.Wire do
        id::binary>>}
   end
 
-  # Times before 1970 there are none.
+  # The protocol has no times before 1970.
   defp time(time), do: time |> max(0) |> min(@most_time)
 end

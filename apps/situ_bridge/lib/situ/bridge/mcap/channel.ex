@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Mcap.Channel do
   @moduledoc false
-  # How one topic is written: settled by its options and its first message.
+  # How one topic is written, as determined by its options and its first message.
   alias Situ.Bridge.Format.Value
   alias Situ.Bridge.Mcap.Extra
   alias Situ.Bridge.{Foxglove, Protobuf}
@@ -8,12 +8,12 @@ defmodule Situ.Bridge.Mcap.Channel do
   alias Situ.Bridge.Ros.{Definition, Library, Optics, Standard, Wire}
   alias Situ.Error
 
-  # `definition`: a `Definition`, or a Protobuf schema.
+  # `definition` is a `Definition` or a Protobuf schema.
   defstruct [:topic, :id, :encoding, :definition, :schema, frame: "", metadata: []]
 
   @type t :: %__MODULE__{}
 
-  @doc "The channel that fits the first message."
+  @doc "Builds the channel that fits the first message."
   @spec new(String.t(), keyword(), term()) :: {:ok, t()} | {:error, Error.t()}
   def new(topic, opts, first) do
     {value, _extra} = Extra.split(first)
@@ -26,7 +26,7 @@ defmodule Situ.Bridge.Mcap.Channel do
 
   defp made(topic, :protobuf, opts, first) do
     case opts[:type] || Foxglove.Standard.message_type(first) do
-      nil -> {:error, no_type(topic, :protobuf, "message of Foxglove's")}
+      nil -> {:error, no_type(topic, :protobuf, "Foxglove message")}
       type -> protobuf(topic, type, opts[:definition])
     end
   end
@@ -42,8 +42,8 @@ defmodule Situ.Bridge.Mcap.Channel do
 
   defp no_type(topic, encoding, what) do
     Error.new(:no_ros_type, "no standard #{what} fits the data of #{topic}",
-      why: "it is to be written as #{encoding}",
-      fix: "name one with `type:`, or write it as JSON"
+      why: "the topic is to be encoded as #{encoding}, which needs a message type",
+      fix: "name a type with `type:`, or write the topic with `encoding: :json`"
     )
   end
 
@@ -67,7 +67,8 @@ defmodule Situ.Bridge.Mcap.Channel do
            schema: {type, "protobuf", set}
          }}
       else
-        {:error, unknown(type, "it is no message of its definition, or of Foxglove's")}
+        {:error,
+         unknown(type, "neither its definition nor Foxglove's definitions contain this message")}
       end
     end
   end
@@ -77,9 +78,9 @@ defmodule Situ.Bridge.Mcap.Channel do
 
   defp unknown(type, why),
     do:
-      Error.new(:no_definition, "the type #{type} is not known",
+      Error.new(:no_definition, "the type #{type} is unknown",
         why: why,
-        fix: "give its text with `definition:`"
+        fix: "pass the text of its definition with `definition:`"
       )
 
   defp ros(topic, type, text, encoding) do
@@ -114,7 +115,7 @@ defmodule Situ.Bridge.Mcap.Channel do
 
   defp text(type, nil, dialect) do
     with :error <- Library.fetch(Definition.plain(type), dialect),
-         do: {:error, unknown(type, "it is not one of ROS's standard types")}
+         do: {:error, unknown(type, "it is not a standard ROS type")}
   end
 
   defp text(_type, text, _dialect), do: {:ok, text}
@@ -122,11 +123,10 @@ defmodule Situ.Bridge.Mcap.Channel do
   defp definition(type, text, dialect) do
     with {:error, why} <- Definition.parse(type, text, dialect),
          do:
-           {:error,
-            Error.new(:bad_definition, "the definition of #{type} cannot be used", why: why)}
+           {:error, Error.new(:bad_definition, "the definition of #{type} is invalid", why: why)}
   end
 
-  # Readers want the types that a type is made of behind it.
+  # Readers expect the definitions of nested types to follow the type that uses them.
   defp whole(definition, text, dialect) do
     others = definition.types |> Map.keys() |> Enum.sort() |> List.delete(definition.name)
     missing = Enum.reject(others, &told?(text, &1))
@@ -144,7 +144,7 @@ defmodule Situ.Bridge.Mcap.Channel do
       String.contains?(text, "MSG: " <> String.replace(name, "/", "/msg/", global: false))
   end
 
-  @doc "A message's bytes. Error: `:not_writable`."
+  @doc "Encodes a message. Error: `:not_writable`."
   @spec encode(t(), term(), Situ.Time.t()) :: {:ok, binary()} | {:error, Error.t()}
   def encode(channel, {:with_extra, value, extra}, time), do: encode(channel, value, extra, time)
   def encode(channel, value, time), do: encode(channel, value, %{}, time)
@@ -153,7 +153,7 @@ defmodule Situ.Bridge.Mcap.Channel do
     {:ok, data |> Value.plain() |> object() |> Situ.JSON.encode()}
   catch
     {:not_writable, what} ->
-      {:error, not_writable(channel, "#{inspect(what, limit: 5)} is nothing that JSON has")}
+      {:error, not_writable(channel, "JSON cannot represent #{inspect(what, limit: 5)}")}
   end
 
   defp encode(%{encoding: :protobuf, schema: {type, _, _}} = channel, data, extra, time) do
@@ -174,13 +174,13 @@ defmodule Situ.Bridge.Mcap.Channel do
          do: {:error, not_writable(channel, why)}
   end
 
-  # Two names for the same four members.
+  # ROS 1 and ROS 2 use different names for the same four fields.
   defp spelled_for(%{} = message, "sensor_msgs/CameraInfo", encoding),
     do: Optics.spelled(message, encoding)
 
   defp spelled_for(message, _name, _encoding), do: message
 
-  # Tools want objects: what is none gets a member of its own.
+  # Tools expect objects: any other value becomes the member `value` of an object.
   defp object({_} = object), do: object
   defp object(value), do: {[{"value", value}]}
 

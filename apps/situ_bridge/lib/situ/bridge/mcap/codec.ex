@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Mcap.Codec do
   @moduledoc false
-  # A channel's bytes as terms, by its message encoding and its schema. Unknown types stay bytes, with a note.
+  # Decodes a channel's bytes by its message encoding and its schema. Messages of unknown types stay bytes, with a note.
   alias Situ.Bridge.Foxglove
   alias Situ.Bridge.Mcap.Extra
   alias Situ.Bridge.Protobuf
@@ -8,7 +8,8 @@ defmodule Situ.Bridge.Mcap.Codec do
 
   @type schema :: {name :: String.t(), encoding :: String.t(), data :: binary()} | nil
 
-  # `by`: what bytes are read by; `maps?`: standard messages stay maps, with all that is in them.
+  # `by` is the definition or schema that bytes are decoded with. With `maps?`, standard messages stay maps with all
+  # their fields.
   @enforce_keys [:kind]
   defstruct [:kind, :by, :name, topic: "", maps?: false, extra?: false]
 
@@ -26,9 +27,9 @@ defmodule Situ.Bridge.Mcap.Codec do
       type: {:in, [:situ, :maps, :apart]},
       default: :situ,
       doc:
-        "Standard messages as Situ's types (pictures, clouds, poses, inertial readings ...), or all as maps with " <>
-          "everything that is in them, such as frames of reference and covariances. `:apart`: as Situ's types, with " <>
-          "the other fields in a second stream, NAME.extra; imports of recordings do this."
+        "`:situ`: standard messages become Situ's types (images, point clouds, poses, IMU readings ...). `:maps`: " <>
+          "they stay maps with all their fields, including frames of reference and covariances. `:apart`: they " <>
+          "become Situ's types, and the other fields go to a second stream, NAME.extra; imports of recordings do this."
     ]
   ]
 
@@ -37,20 +38,20 @@ defmodule Situ.Bridge.Mcap.Codec do
       type: {:in, [:log, :header]},
       default: :log,
       doc:
-        "Originating times: when a message was recorded, or the stamp of its header (the former where it has none). " <>
-          "The stamps are read when the file is opened; `creation_time` is when a message was recorded."
+        "The originating time of a message: when it was recorded (`:log`), or the stamp of its header, if it has " <>
+          "one (`:header`). Stamps are read when the file is opened. `creation_time` is when the message was recorded."
     ]
   ]
 
-  @doc "The options of readers."
+  @doc "Returns the options of readers."
   @spec options() :: Situ.Options.schema()
   def options, do: @schema
 
-  @doc "The option of bags that chooses their originating times."
+  @doc "Returns the option of bags that selects their originating times."
   @spec time_options() :: Situ.Options.schema()
   def time_options, do: @times
 
-  @doc "How a channel is read, its `Situ.Type`, and a note when its messages stay bytes."
+  @doc "Builds the codec of a channel; returns it with its `Situ.Type`, and a note if its messages stay bytes."
   @spec new(String.t(), schema(), String.t()) :: {t(), Situ.Type.t(), String.t() | nil}
   def new(encoding, schema, topic \\ "")
   def new("json", _schema, topic), do: {%__MODULE__{kind: :json, topic: topic}, :any, nil}
@@ -64,7 +65,10 @@ defmodule Situ.Bridge.Mcap.Codec do
         {codec, Foxglove.Standard.type(name), nil}
 
       {:ok, _} ->
-        bytes(topic, "its definition has no message #{name}")
+        bytes(
+          topic,
+          "its definition does not contain the message #{name}, so its messages stay bytes"
+        )
 
       {:error, error} ->
         bytes(topic, Exception.message(error))
@@ -73,7 +77,7 @@ defmodule Situ.Bridge.Mcap.Codec do
 
   def new(encoding, schema, topic) do
     what = if schema, do: "#{elem(schema, 0)} in #{elem(schema, 1)}", else: "no schema"
-    bytes(topic, "its messages are written as #{inspect(encoding)} (#{what}) and stay bytes")
+    bytes(topic, "its messages are encoded as #{inspect(encoding)} (#{what}) and stay bytes")
   end
 
   defp bytes(topic, note), do: {%__MODULE__{kind: :bytes, topic: topic}, :binary, note}
@@ -85,11 +89,11 @@ defmodule Situ.Bridge.Mcap.Codec do
         {codec, Standard.type(definition.name), nil}
 
       {:error, why} ->
-        bytes(topic, "its definition cannot be used: #{why}")
+        bytes(topic, "its definition is invalid: #{why}")
     end
   end
 
-  @doc "Whether its messages may begin with a stamp, and how that is written."
+  @doc "Returns the encoding of the header that the channel's messages begin with, or `nil` if they have none."
   @spec stamps(t()) :: :ros1_header | :cdr_header | nil
   def stamps(%{kind: kind, by: definition}) when kind in [:ros1, :cdr] do
     case definition.types[definition.name].fields do
@@ -101,21 +105,21 @@ defmodule Situ.Bridge.Mcap.Codec do
 
   def stamps(_), do: nil
 
-  @doc "The same, with its messages as the option `messages:` wants them."
+  @doc "Returns the codec that decodes messages as the option `messages:` requires."
   @spec shaped(t(), :situ | :maps | :apart) :: t()
   def shaped(codec, messages), do: %{codec | maps?: messages == :maps}
 
-  @doc "Returns the options that an import opens a file with."
+  @doc "Returns the options with which an import opens a file."
   @spec import_options(times :: atom()) :: keyword()
   def import_options(times),
     do: [messages: :apart, times: if(times == :header, do: :header, else: :log)]
 
-  @doc "Whether messages may hold more than the value of their type has a place for."
+  @doc "Returns whether messages may contain fields that the value of their type cannot hold."
   @spec lossy?(t(), Situ.Type.t()) :: boolean()
   def lossy?(%{kind: kind}, {:or, _}), do: kind in [:ros1, :cdr, :protobuf]
   def lossy?(_codec, _type), do: false
 
-  @doc "Returns the codec of the second stream: of the fields that the values have no place for."
+  @doc "Returns the codec of the second stream, which holds the fields that Situ's types cannot hold."
   @spec extra(t()) :: t()
   def extra(codec), do: %{codec | maps?: false, extra?: true}
 
@@ -127,7 +131,7 @@ defmodule Situ.Bridge.Mcap.Codec do
 
   def put_times(data, _codec, _time, _times), do: data
 
-  @doc "One message's data, or why it is none."
+  @doc "Decodes one message. The error is a sentence."
   @spec decode(t(), binary()) :: {:ok, term()} | {:error, String.t()}
   def decode(%{extra?: true} = codec, bytes) do
     with {:ok, message} <- decode(%{codec | extra?: false, maps?: true}, bytes),

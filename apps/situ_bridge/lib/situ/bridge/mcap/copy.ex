@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Mcap.Copy do
   @moduledoc false
-  # An MCAP file into another, record by record, by the native side: nothing is decoded.
+  # Copies an MCAP file record by record in native code, without decoding messages.
   alias Situ.Bridge.Mcap.{Failure, Options, Writer}
   alias Situ.Bridge.Native
   alias Situ.Error
@@ -9,35 +9,43 @@ defmodule Situ.Bridge.Mcap.Copy do
              streams: [
                type: {:optional, {:list, :string}},
                default: nil,
-               doc: "The names of the streams wanted; default: all, with all schemas."
+               doc: "The names of the streams to copy; default: all, with all schemas."
              ],
-             from: [type: {:optional, :integer}, default: nil, doc: "The first log time, ns."],
-             to: [type: {:optional, :integer}, default: nil, doc: "The last log time, ns."],
+             from: [
+               type: {:optional, :integer},
+               default: nil,
+               doc: "The earliest log time to copy, ns."
+             ],
+             to: [
+               type: {:optional, :integer},
+               default: nil,
+               doc: "The latest log time to copy, ns."
+             ],
              order: [
                type: {:in, [:file, :time]},
                default: :file,
                doc:
-                 "The order of messages: as in the original, or by log time (those of one time stay in their order)."
+                 "The order of messages: as in the original, or by log time (stable for messages with equal times)."
              ],
              skip_damage: [
                type: :boolean,
                default: false,
-               doc: "Leave out what is damaged; else it is an error."
+               doc: "Skip damaged data; otherwise damage is an error."
              ],
              progress: [
                type: {:fun, 1},
                default: nil,
-               doc: "A function of the messages written so far."
+               doc: "A function that is called with the number of messages written so far."
              ],
              profile: [
                type: {:optional, :string},
                default: nil,
-               doc: "The file's profile; default: as it is."
+               doc: "The profile of the file; default: as in the original."
              ],
              compression: [
                type: {:optional, {:in, [:none, :lz4, :zstd]}},
                default: nil,
-               doc: "How chunks are compressed; default: as they are."
+               doc: "How chunks are compressed; default: as in the original."
              ]
            ] ++ Keyword.take(Options.file(), [:chunk, :attachments, :metadata])
 
@@ -49,7 +57,7 @@ defmodule Situ.Bridge.Mcap.Copy do
   def copy(state, path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
          {:ok, {copy, writer}} <- begin(state, path, opts) do
-      # An error of a step names the original, unless the disk is full.
+      # The error of a step names the original file, unless the disk is full.
       with {:ok, copied} <- steps(copy, opts[:progress] || fn _ -> :ok end, state.path),
            :ok <- Writer.carry(writer, opts, path),
            {:ok, _} <- Failure.wrap(Native.mcap_finish(writer), path),
@@ -62,7 +70,7 @@ defmodule Situ.Bridge.Mcap.Copy do
     order = if opts[:order] == :time, do: :log, else: :file
 
     with {:ok, channels} <- channels(state, opts[:streams]) do
-      # A record that is given takes the place of those of its name.
+      # A metadata record from the options replaces the records of that name.
       replaced = for {name, _} <- opts[:metadata], do: to_string(name)
       times = {opts[:from] || 0, opts[:to] || :unbounded}
       selection = {channels, times, order, replaced, opts[:skip_damage]}

@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.Mcap.Extra do
   @moduledoc false
-  # Fields of messages that Situ's types have no place for: headers, covariances, further fields of points. An import
-  # keeps them in a second stream, and the schema in the metadata of the first one. An export puts both back.
+  # Fields of messages that Situ's types cannot hold: headers, covariances, additional point fields. An import writes
+  # them to a second stream, and the schema to the metadata of the first one. An export restores both.
   alias Situ.{Message, Store, Time}
   alias Situ.Store.StreamInfo
 
   @ending ".extra"
-  # Streams of extras have numbers above those of channels and connections.
+  # The numbers of these streams start above the numbers of channels and connections.
   @number 0x1_0000_0000
 
   @typedoc "The name of a type, the language of its definition, and the definition."
@@ -20,7 +20,7 @@ defmodule Situ.Bridge.Mcap.Extra do
   @spec number(non_neg_integer()) :: non_neg_integer()
   def number(id), do: id + @number
 
-  @doc "Returns what an import keeps with a stream: the pairs that its writer gave, and its schema."
+  @doc "Returns the metadata that an import stores with a stream: the original writer's pairs, and the schema."
   @spec metadata([{String.t(), String.t()}], schema() | nil) :: {String.t(), binary()} | nil
   def metadata([], nil), do: nil
 
@@ -34,7 +34,7 @@ defmodule Situ.Bridge.Mcap.Extra do
     Map.put(metadata, "schema", schema)
   end
 
-  @doc "Returns the fields of a message that another one does not have, and its header."
+  @doc "Returns the header of a message, and the fields that `rewritten` lacks or in which it differs."
   @spec take(map(), map()) :: map()
   def take(message, rewritten) do
     extra = without(message, rewritten)
@@ -73,8 +73,8 @@ defmodule Situ.Bridge.Mcap.Extra do
   end
 
   @doc """
-  Returns the streams of extra fields, by the names of the streams that they belong to; `:empty` for an imported stream
-  that needs none.
+  Returns the streams of extra fields by the names of the streams they belong to. The value is `:empty` for an imported
+  stream that has no extra fields.
   """
   @spec streams([StreamInfo.t()]) :: %{String.t() => StreamInfo.t() | :empty}
   def streams(infos) do
@@ -92,8 +92,8 @@ defmodule Situ.Bridge.Mcap.Extra do
   end
 
   @doc """
-  Joins messages from `ordinal` on with their extra fields: the data become `{:with_extra, data, extra}`. Those of a
-  stream that was not imported stay as they are.
+  Joins messages from `ordinal` on with their extra fields: the data become `{:with_extra, data, extra}`. Messages of a
+  stream that was not imported are returned unchanged.
   """
   @spec join([Message.t()], Store.t(), StreamInfo.t() | :empty | nil, non_neg_integer()) ::
           [Message.t()]
@@ -118,8 +118,8 @@ defmodule Situ.Bridge.Mcap.Extra do
   end
 
   @doc """
-  Adds the times of a message that Situ's two have no room for: the time of sending, and that of recording when the
-  originating time is later, since a message of Situ is not created before it originates.
+  Adds the times of a message that Situ's two timestamps cannot hold: the time of sending, and the time of recording if
+  the originating time is later, since Situ does not allow a message to be created before it originates.
   """
   @spec put_times(map(), Time.t(), {recorded :: Time.t(), sent :: Time.t()}) :: map()
   def put_times(extra, time, {recorded, sent}) do
@@ -127,7 +127,7 @@ defmodule Situ.Bridge.Mcap.Extra do
     if recorded >= time, do: extra, else: Map.put(extra, "record_time", recorded)
   end
 
-  @doc "Returns when a message was recorded and sent. An import keeps both apart from the stamp of the header."
+  @doc "Returns when a message was recorded and sent. An import keeps both separate from the stamp of the header."
   @spec fetch_times(Message.t()) :: {recorded :: Time.t(), sent :: Time.t()}
   def fetch_times(%{data: {:with_extra, _value, extra}, creation_time: created}) do
     recorded = fetch_time(extra, "record_time", created)

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Mcap.Failure do
   @moduledoc false
-  # The native side's failures as errors people can act on.
+  # Converts failures of the native code to errors that users can act on.
   alias Situ.Error
 
   @spec wrap({:ok, value} | {:error, term()}, Path.t()) :: {:ok, value} | {:error, Error.t()}
@@ -11,9 +11,9 @@ defmodule Situ.Bridge.Mcap.Failure do
   @spec error(term(), Path.t()) :: Error.t()
   def error({:io, what, 28, _why}, path),
     do:
-      Error.new(:disk_full, "no room left on the disk of #{path}",
+      Error.new(:disk_full, "the disk of #{path} is full",
         why: "could not #{what}",
-        fix: "free some space, or write elsewhere"
+        fix: "free some space, or write to another disk"
       )
 
   def error({:io, what, _errno, why}, path),
@@ -22,7 +22,7 @@ defmodule Situ.Bridge.Mcap.Failure do
   def error(:not_mcap, path),
     do:
       Error.new(:not_mcap, "#{path} is not an MCAP file",
-        why: "it does not begin like one",
+        why: "the file does not start with the MCAP magic bytes",
         fix: "check the path"
       )
 
@@ -30,9 +30,9 @@ defmodule Situ.Bridge.Mcap.Failure do
     do:
       Error.new(:damaged, "#{path} is damaged at byte #{at}",
         why: why,
-        fix: "`situ store recover '#{path}' NEW.mcap` writes what can be read to a new file"
+        fix: "`situ store recover '#{path}' NEW.mcap` writes all readable data to a new file"
       )
 
   def error(:closed, path),
-    do: Error.new(:closed, "#{path} is finished: nothing can be written to it")
+    do: Error.new(:closed, "#{path} is finished, so nothing more can be written to it")
 end

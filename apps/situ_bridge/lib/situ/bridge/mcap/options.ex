@@ -1,10 +1,10 @@
 defmodule Situ.Bridge.Mcap.Options do
   @moduledoc false
-  # The options of the writers of MCAP files.
+  # The options of MCAP writers.
 
   def file do
     [
-      profile: [type: :string, default: "", doc: "The file's profile, such as \"ros1\"."],
+      profile: [type: :string, default: "", doc: "The profile of the file, such as \"ros1\"."],
       compression: [
         type: {:in, [:none, :lz4, :zstd]},
         default: :lz4,
@@ -13,19 +13,19 @@ defmodule Situ.Bridge.Mcap.Options do
       chunk: [
         type: :pos_integer,
         default: 1_048_576,
-        doc: "Bytes of a chunk before it is compressed."
+        doc: "The size of a chunk before compression, bytes."
       ],
       attachments: [
         type: {:list, :any},
         default: [],
         doc:
-          "Files that go into it as attachments, under their names: calibrations, maps, notes; or " <>
+          "Files to attach under their own names, such as calibrations, maps or notes; or " <>
             "`{name, media_type, time, bytes}`."
       ],
       metadata: [
         type: :map,
         default: %{},
-        doc: "Records of metadata: `%{\"robot\" => %{\"serial\" => \"7\"}}`."
+        doc: "Metadata records, such as `%{\"robot\" => %{\"serial\" => \"7\"}}`."
       ]
     ]
   end
@@ -36,28 +36,28 @@ defmodule Situ.Bridge.Mcap.Options do
         type: {:in, [:auto, :json, :ros1, :cdr, :protobuf]},
         default: :auto,
         doc:
-          "How messages are written; `:auto`: ROS 1 for data that a standard message fits, else JSON. `:cdr` " <>
-            "is ROS 2, `:protobuf` Foxglove's own messages (`Situ.Bridge.Foxglove.Standard`) or any other by " <>
-            "`definition:`."
+          "The message encoding. `:auto` selects ROS 1 if a standard message fits the data, otherwise JSON. `:cdr` " <>
+            "is ROS 2. `:protobuf` writes Foxglove's messages (`Situ.Bridge.Foxglove.Standard`), or others given " <>
+            "by `definition:`."
       ],
       type: [
         type: {:optional, :string},
         default: nil,
         doc:
-          "The type, such as \"sensor_msgs/Imu\" or \"foxglove.Log\"; by default the standard one that fits the " <>
-            "first message."
+          "The message type, such as \"sensor_msgs/Imu\" or \"foxglove.Log\"; the default is the standard type that " <>
+            "fits the first message."
       ],
       definition: [
         type: {:optional, :string},
         default: nil,
         doc:
-          "The type's definition, when it is none of ROS's or Foxglove's own: the text of a `.msg` or a `.proto`, " <>
-            "or a FileDescriptorSet."
+          "The definition of a type that is not a standard ROS or Foxglove type: the text of a `.msg` or `.proto` " <>
+            "file, or a FileDescriptorSet."
       ],
       frame: [
         type: :string,
         default: "",
-        doc: "The frame of reference that headers name."
+        doc: "The frame of reference to write in headers."
       ]
     ]
   end

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Mcap.Sizes do
   @moduledoc false
-  # The bytes of each topic, chunk by chunk.
+  # Sums the bytes of each topic, chunk by chunk.
   alias Situ.Bridge.Mcap.Failure
   alias Situ.Bridge.Native
 

@@ -1,13 +1,13 @@
 defmodule Situ.Bridge.Mcap.Writer do
   @moduledoc false
   @behaviour Situ.Bridge.Recorder
-  # A file and its channels, as a value. Messages go to the native writer, which keeps the chunk, many at once: a call
-  # there changes the thread, which costs more than a small message.
+  # An MCAP file and its channels, as a value. The native writer holds the current chunk and receives messages in
+  # batches: each native call switches threads, which costs more than a small message.
   alias Situ.Bridge.Mcap.{Channel, Extra, Failure, Options}
   alias Situ.Bridge.Native
   alias Situ.Error
 
-  # `channels`: by topic, with the sequence number of the next message.
+  # `channels` maps topics to channels with the sequence number of the next message.
   defstruct [:path, :ref, channels: %{}, count: 0, rows: [], waiting: 0, bytes: 0]
   @type t :: %__MODULE__{}
 
@@ -55,18 +55,18 @@ defmodule Situ.Bridge.Mcap.Writer do
 
       {:error, reason} ->
         {:error,
-         Error.new(:io, "the attachment #{file} cannot be read", why: :file.format_error(reason))}
+         Error.new(:io, "cannot read the attachment #{file}", why: :file.format_error(reason))}
     end
   end
 
   defp attachment(other) do
     {:error,
-     Error.new(:bad_option, "#{inspect(other, limit: 5)} is no attachment",
-       fix: "give a file, or {name, media_type, time, bytes}"
+     Error.new(:bad_option, "invalid attachment: #{inspect(other, limit: 5)}",
+       fix: "pass a path, or {name, media_type, time, bytes}"
      )}
   end
 
-  # When it was last changed.
+  # Attachments from files use the modification time.
   defp stamp(file) do
     case File.stat(file, time: :posix) do
       {:ok, %{mtime: mtime}} -> max(mtime, 0) * 1_000_000_000
@@ -91,7 +91,7 @@ defmodule Situ.Bridge.Mcap.Writer do
   end
 
   @impl true
-  @doc "Appends a message; `opts` (`Options.topic/0`) count for the first one of its topic."
+  @doc "Appends a message; `opts` (`Options.topic/0`) apply to the first message of a topic."
   @spec write(t(), String.t(), Situ.Message.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def write(writer, topic, message, opts) do
     with {:ok, channel, sequence} <- channel(writer, topic, message.data, opts),
@@ -136,7 +136,7 @@ defmodule Situ.Bridge.Mcap.Writer do
     do:
       {:error,
        Error.new(:not_writable, "a message of #{topic} is from #{Situ.Time.to_iso8601(time)}",
-         why: "MCAP has times from 1970 to 2554"
+         why: "MCAP supports times from 1970 to 2554"
        )}
 
   defp channel(writer, topic, data, opts) do
@@ -159,7 +159,7 @@ defmodule Situ.Bridge.Mcap.Writer do
   end
 
   @impl true
-  @doc "Hands everything so far to the system, as whole chunks."
+  @doc "Passes all messages so far to the operating system as complete chunks."
   def flush(writer) do
     with {:ok, writer} <- hand_over_all(writer),
          {:ok, _} <- Failure.wrap(Native.mcap_flush(writer.ref), writer.path),
@@ -167,7 +167,7 @@ defmodule Situ.Bridge.Mcap.Writer do
   end
 
   @impl true
-  @doc "Writes the index."
+  @doc "Writes the index and closes the file."
   def finish(writer) do
     with {:ok, writer} <- hand_over_all(writer),
          do: Failure.wrap(Native.mcap_finish(writer.ref), writer.path)

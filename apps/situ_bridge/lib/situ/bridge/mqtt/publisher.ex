@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Mqtt.Publisher do
   @moduledoc false
-  # The connection of a sink. It keeps messages until the broker has acknowledged them, and sends them again over the
-  # next connection.
+  # The connection of a sink. It keeps messages until the broker has acknowledged them, and resends them after
+  # reconnecting.
   use GenServer
   require Logger
   alias Situ.Bridge.Mqtt.Wire
@@ -27,7 +27,10 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     dropped: 0
   ]
 
-  @doc "`opts`: host, port, tls, topic, qos, retain, high_water_mark, and those of `Wire.connect/1`."
+  @doc """
+  Starts the publisher. `opts` are host, port, tls, topic, qos, retain, high_water_mark, and the options of
+  `Wire.connect/1`.
+  """
   @spec start_link(keyword()) :: {:ok, pid()}
   def start_link(opts) do
     {:ok, _} = GenServer.start_link(__MODULE__, opts)
@@ -56,7 +59,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   def handle_call(:ready, _from, state), do: {:reply, if(state.up?, do: 1, else: 0), state}
   def handle_call(:dropped, _from, state), do: {:reply, state.dropped, state}
 
-  # Without acknowledgements what nobody takes is lost, but for the time before the first connection.
+  # With QoS 0, messages are lost while the broker is unreachable, except before the first connection.
   def handle_call({:put, payload}, _from, %{opts: opts} = state) do
     cond do
       opts[:qos] == 1 and state.n >= min(opts[:high_water_mark], @most - 1) ->
@@ -105,7 +108,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     {:noreply, state}
   end
 
-  # A connection by TLS has processes of its own, and their ends.
+  # A TLS connection runs in separate processes, whose exits arrive here.
   def handle_info({:EXIT, _pid, :normal}, state), do: {:noreply, state}
   def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
 
@@ -142,7 +145,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
 
   defp heard({:connack, code}, state), do: again(state, "the broker: " <> Wire.refusal(code))
 
-  # A broker acknowledges in order, nearly always.
+  # A broker nearly always acknowledges messages in order.
   defp heard({:puback, id}, state) do
     case :queue.peek(state.kept) do
       {:value, {^id, _}} ->
@@ -163,7 +166,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     end
   end
 
-  # The same trouble is told once, not at every attempt.
+  # A repeated error is logged once, not at every attempt.
   defp again(state, reason) do
     if state.tcp, do: Dial.close(state.tcp)
 

@@ -3,25 +3,29 @@ defmodule Situ.Bridge.Mqtt.Sink do
   alias Situ.Bridge.Outlet
 
   @schema [
-            host: [type: :string, required: true, doc: "Where the broker is."],
+            host: [type: :string, required: true, doc: "The host of the broker."],
             port: [
               type: {:optional, {:integer, 1, 65_535}},
               default: nil,
-              doc: "Its port (default: 1883, with TLS 8883)."
+              doc: "The port of the broker (default: 1883, or 8883 with TLS)."
             ],
-            topic: [type: :string, required: true, doc: "The topic."],
+            topic: [type: :string, required: true, doc: "The topic to publish to."],
             qos: [
               type: {:in, [0, 1]},
               default: 1,
               doc:
-                "1: the broker acknowledges every message, and those that it has not are sent again; 0: it does not."
+                "1: the broker acknowledges each message, and the others are sent again. 0: messages are sent once."
             ],
             retain: [
               type: :boolean,
               default: false,
-              doc: "Who subscribes later begins with the last message."
+              doc: "Asks the broker to keep the last message for clients that subscribe later."
             ],
-            username: [type: {:optional, :string}, default: nil, doc: "As whom to log in."],
+            username: [
+              type: {:optional, :string},
+              default: nil,
+              doc: "The user name for the broker."
+            ],
             password: [
               type: {:optional, {:or, [:string, {:fun, 0}]}},
               default: nil,
@@ -29,7 +33,7 @@ defmodule Situ.Bridge.Mqtt.Sink do
             ]
           ] ++ Dial.options() ++ Keyword.drop(Outlet.options(), [:listening, :wait_for])
   @moduledoc false
-  # A stream to a topic.
+  # Publishes a stream to a topic.
   use Situ.Component, inputs: [in: :any], options: @schema
   use Outlet
   alias Situ.Bridge.Mqtt.Publisher

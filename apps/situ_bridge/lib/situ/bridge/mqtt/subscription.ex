@@ -1,10 +1,10 @@
 defmodule Situ.Bridge.Mqtt.Subscription do
   @moduledoc false
-  # A client that subscribes to one filter. Pure.
+  # A client with a single subscription. Pure.
   @behaviour Situ.Bridge.Net.Protocol
   alias Situ.Bridge.Mqtt.Wire
 
-  # A client may subscribe before its connection was granted.
+  # MQTT allows a client to subscribe before the broker has accepted its connection.
   @impl true
   def hello(_host, _port, arg),
     do: {[Wire.connect(arg), Wire.subscribe(1, arg[:topic], arg[:qos])], ""}

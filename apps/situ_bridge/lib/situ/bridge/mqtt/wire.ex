@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Mqtt.Wire do
   @moduledoc false
-  # The packets of MQTT 3.1.1 that a client needs. Pure.
+  # The MQTT 3.1.1 packets that a client needs. Pure.
   import Situ.Bits, only: [known: 1]
   import Bitwise
 
@@ -12,7 +12,7 @@ defmodule Situ.Bridge.Mqtt.Wire do
           | :pong
           | {:other, 0..15}
 
-  @doc "A client's first packet. With a session of its own the broker keeps what it misses."
+  @doc "Encodes a client's first packet. With `session:`, the broker keeps messages while the client is offline."
   @spec connect(keyword()) :: iodata()
   def connect(opts) do
     clean = if opts[:session], do: 0, else: 2
@@ -20,7 +20,7 @@ defmodule Situ.Bridge.Mqtt.Wire do
     password = read_password(opts[:password])
     password_flag = if password, do: 0x40, else: 0
     texts = for text <- [opts[:username], password], text, do: text(text)
-    # Keep-alive is off: no packets are sent only to be answered.
+    # Keep-alive is off: no packets are sent only to be acknowledged.
     packet(1, 0, [
       text("MQTT"),
       4,
@@ -58,12 +58,12 @@ defmodule Situ.Bridge.Mqtt.Wire do
   defp size(n) when n < 128, do: <<n>>
   defp size(n), do: [<<1::1, n::7>>, size(n >>> 7)]
 
-  @doc "The first packet of `bytes`; one longer than `most` is an error."
+  @doc "Parses the first packet in `bytes`; a packet longer than `most` is an error."
   @spec read(binary(), pos_integer()) ::
           {:ok, packet(), rest :: binary()} | :more | {:error, String.t()}
   def read(<<kind::4, flags::4, rest::binary>>, most) do
     case length(rest, 0, 0) do
-      {n, _} when n > most -> {:error, "a packet of #{n} bytes"}
+      {n, _} when n > most -> {:error, "a packet of #{n} bytes exceeds the limit"}
       {n, rest} when byte_size(rest) < n -> :more
       {n, rest} -> taken(kind, flags, n, rest)
       other -> other
@@ -72,7 +72,7 @@ defmodule Situ.Bridge.Mqtt.Wire do
 
   def read("", _most), do: :more
 
-  @doc "How many bytes a packet that has begun misses at least."
+  @doc "Returns the minimum number of bytes that an incomplete packet lacks."
   @spec missing(binary()) :: pos_integer()
   def missing(<<_, rest::binary>>) do
     case length(rest, 0, 0) do
@@ -83,7 +83,7 @@ defmodule Situ.Bridge.Mqtt.Wire do
 
   def missing(""), do: 1
 
-  defp length(_bytes, 28, _sum), do: {:error, "a packet without length"}
+  defp length(_bytes, 28, _sum), do: {:error, "a packet with an invalid length"}
 
   defp length(<<0::1, n::7, rest::binary>>, shift, sum), do: {sum ||| n <<< shift, rest}
 
@@ -96,7 +96,7 @@ defmodule Situ.Bridge.Mqtt.Wire do
     <<body::binary-known(n), rest::binary>> = bytes
 
     case body(kind, flags, body) do
-      :error -> {:error, "a packet of the kind #{kind} that makes no sense"}
+      :error -> {:error, "an invalid packet of type #{kind}"}
       packet -> {:ok, packet, rest}
     end
   end
@@ -119,14 +119,14 @@ defmodule Situ.Bridge.Mqtt.Wire do
   defp body(kind, _flags, _body), do: {:other, kind}
 
   @refusals %{
-    1 => "it does not speak MQTT 3.1.1",
-    2 => "it refuses the session's name",
+    1 => "it does not support MQTT 3.1.1",
+    2 => "it rejects the client identifier",
     3 => "it is not available",
     4 => "the user name or the password is wrong",
-    5 => "it does not let this user in"
+    5 => "this user is not authorized"
   }
 
-  @doc "Why a broker refuses a connection."
+  @doc "Describes why a broker refused a connection."
   @spec refusal(byte()) :: String.t()
-  def refusal(code), do: Map.get(@refusals, code, "it refuses with code #{code}")
+  def refusal(code), do: Map.get(@refusals, code, "it refuses the connection with code #{code}")
 end

@@ -1,12 +1,13 @@
 defmodule Situ.Bridge.Net.Connection do
   @moduledoc false
-  # One client of a server: admitted by the protocol, it is written what it is handed, and ends when the other side
-  # does.
+  # One client of a server. After the protocol has admitted the client, this process sends it the messages from its
+  # outbox, and ends when the client disconnects.
   use GenServer, restart: :temporary
   alias Situ.Bridge.Net.Outbox
 
   @admission 5_000
-  # A client that says more than this before it is admitted, or in one go afterwards, is none.
+  # The limit of bytes from a client before it is admitted, or in one message afterwards. Exceeding it closes the
+  # connection.
   @most_said 65_536
 
   def start_link(server, outbox, protocol),

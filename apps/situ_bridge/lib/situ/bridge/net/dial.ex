@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Net.Dial do
   @moduledoc false
-  # A connection to a server, plain or by TLS: one way to speak with both. The server's bytes come as
+  # A plain or TLS connection to a server, with one interface to both. Bytes from the server arrive as
   # `{:tcp | :ssl, socket, bytes}`, for `heard/2`.
 
   @options [
@@ -8,9 +8,9 @@ defmodule Situ.Bridge.Net.Dial do
       type: {:or, [:boolean, :keyword]},
       default: false,
       doc:
-        "By TLS, and only with a server whose certificate is good for its name: `true` by the system's authorities, " <>
-          "or a list of `authorities:`, a file of those to trust (one's own), `name:`, the name in its certificate " <>
-          "where that is another, and `certificate:` and `key:`, files, where the server wants to know who asks."
+        "Connects with TLS, and only to a server whose certificate is valid for its name. `true` trusts the " <>
+          "system's authorities. A list sets `authorities:` (a file of trusted ones), `name:` (the name in the " <>
+          "certificate, if different), and `certificate:` and `key:` (files, if the server requires them of clients)."
     ]
   ]
   @known [:authorities, :name, :certificate, :key]
@@ -18,11 +18,11 @@ defmodule Situ.Bridge.Net.Dial do
   @type t :: {:gen_tcp, :gen_tcp.socket()} | {:ssl, :ssl.sslsocket()}
   @type tls :: boolean() | keyword()
 
-  @doc "The option of whoever dials."
+  @doc "Returns the TLS option of clients."
   @spec options() :: Situ.Options.schema()
   def options, do: @options
 
-  @doc "Connects; the socket is active once. Reasons are those of `:gen_tcp` and `:ssl`, or sentences."
+  @doc "Connects; the socket is active once. Error reasons come from `:gen_tcp` and `:ssl`, or are sentences."
   @spec connect(String.t(), :inet.port_number(), tls(), keyword()) ::
           {:ok, t()} | {:error, term()}
   def connect(host, port, tls, options) do
@@ -48,21 +48,24 @@ defmodule Situ.Bridge.Net.Dial do
 
   defp known(tls) do
     case Keyword.keys(tls) -- @known do
-      [] -> :ok
-      [key | _] -> {:error, "tls: has no option #{inspect(key)}; it has #{inspect(@known)}"}
+      [] ->
+        :ok
+
+      [key | _] ->
+        {:error, "tls: has no option #{inspect(key)}; its options are #{inspect(@known)}"}
     end
   end
 
   defp trusted(nil) do
     {:ok, [cacerts: :public_key.cacerts_get()]}
   rescue
-    _ -> {:error, "this system has no list of authorities; give tls: [authorities: FILE]"}
+    _ -> {:error, "this system has no list of authorities; pass tls: [authorities: FILE]"}
   end
 
   defp trusted(file) do
     if File.regular?(file),
       do: {:ok, [cacertfile: file]},
-      else: {:error, "#{file}, the authorities to trust, is not there"}
+      else: {:error, "#{file}, the file of trusted authorities, does not exist"}
   end
 
   defp own(tls) do
@@ -83,7 +86,7 @@ defmodule Situ.Bridge.Net.Dial do
     ]
   end
 
-  # OTP's rule compares no addresses with a host that was given as text.
+  # OTP's match function does not match IP addresses in the certificate with a host given as text.
   defp names?({:dns_id, host}, {:iPAddress, bytes}) do
     case :inet.parse_strict_address(host) do
       {:ok, {a, b, c, d}} ->
@@ -103,7 +106,7 @@ defmodule Situ.Bridge.Net.Dial do
   @spec send(t(), iodata()) :: :ok | {:error, term()}
   def send({module, socket}, bytes), do: module.send(socket, bytes)
 
-  @doc "Lets the next bytes come."
+  @doc "Allows the socket to deliver the next bytes."
   @spec next(t()) :: :ok | {:error, term()}
   def next({:gen_tcp, tcp}), do: :inet.setopts(tcp, active: :once)
   def next({:ssl, ssl}), do: :ssl.setopts(ssl, active: :once)
@@ -111,7 +114,7 @@ defmodule Situ.Bridge.Net.Dial do
   @spec close(t()) :: term()
   def close({module, socket}), do: module.close(socket)
 
-  @doc "Whether a message of the process is of this connection: its bytes, or its end."
+  @doc "Matches a process message with this connection: its bytes, its end, or an unrelated message."
   @spec heard(term(), t() | nil) :: {:ok, binary()} | {:gone, term()} | :other
   def heard({kind, socket, bytes}, {_, socket}) when kind in [:tcp, :ssl], do: {:ok, bytes}
 

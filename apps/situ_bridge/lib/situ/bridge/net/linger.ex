@@ -1,15 +1,15 @@
 defmodule Situ.Bridge.Net.Linger do
   @moduledoc false
-  # The end of a server: what its peers have not taken yet is waited for, but not for ever. The server hands
-  # `{:drain, ...}`, as a call and as a message, to `drain/3`.
+  # Closes a server after a bounded wait for its peers to receive all messages. The server passes `{:drain, ...}`, as a
+  # call and as a message, to `drain/3`.
 
   require Logger
 
   @look_again 5
 
   @doc """
-  Waits until everything has been handed to the network, at most `timeout` ms, and stops the server. Answers how many
-  messages were left.
+  Waits until everything has been handed to the network, at most `timeout` ms, and stops the server. Returns the number
+  of undelivered messages.
   """
   @spec close(pid(), non_neg_integer()) :: non_neg_integer()
   def close(server, timeout) do
@@ -21,8 +21,8 @@ defmodule Situ.Bridge.Net.Linger do
   end
 
   @doc """
-  Answers when none of the messages that are `left` are any more, or when it is time. A server that may lose messages
-  (`lossy?`) says how many, and counts none.
+  Replies when no messages are left, or when the time is over. A server that may lose messages (`lossy?`) logs their
+  number and replies with 0.
   """
   @spec drain(
           GenServer.from(),
@@ -37,7 +37,7 @@ defmodule Situ.Bridge.Net.Linger do
         Process.send_after(self(), {:drain, from, until}, @look_again)
 
       left > 0 and lossy? ->
-        Logger.warning("#{left} messages were dropped at the end, for peers that are too slow")
+        Logger.warning("#{left} messages were dropped on closing, because peers were too slow")
         GenServer.reply(from, 0)
 
       true ->

@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.Net.Listener do
   @moduledoc false
-  # A listening port. `begin/2` starts the process that accepts: it asks `server` for the process of each connection
-  # (`:adopt`, answered by a pid or `:full`) and hands the connection over as `{:adopt, tcp}`.
+  # A listening port. `begin/2` starts the accepting process, which asks `server` for a process for each connection
+  # (`:adopt`, with a pid or `:full` as the reply) and passes the connection to it as `{:adopt, tcp}`.
   alias Situ.Error
 
   @type t :: :gen_tcp.socket()
 
-  @doc "Listens; `\"*\"` is every interface. Errors: `:address_in_use`, `:bad_address`."
+  @doc "Listens on an interface; `\"*\"` means all interfaces. Errors: `:address_in_use`, `:bad_address`."
   @spec listen(String.t(), :inet.port_number()) :: {:ok, t()} | {:error, Error.t()}
   def listen(interface, port) do
     options = [:binary, active: false, reuseaddr: true, backlog: 128]
@@ -18,7 +18,7 @@ defmodule Situ.Bridge.Net.Listener do
       {:error, :eaddrinuse} ->
         {:error,
          Error.new(:address_in_use, "port #{port} of #{interface} is in use",
-           fix: "choose another port, or stop the program that listens there"
+           fix: "choose another port, or stop the program that listens on it"
          )}
 
       {:error, reason} ->
@@ -30,11 +30,11 @@ defmodule Situ.Bridge.Net.Listener do
   defp address("*"), do: {:ok, {0, 0, 0, 0}}
   defp address(interface), do: :inet.getaddr(String.to_charlist(interface), :inet)
 
-  @doc "The port it got."
+  @doc "Returns the port number."
   @spec port(t()) :: :inet.port_number()
   def port(listener), do: elem(:inet.port(listener), 1)
 
-  @doc "The accepting process, linked to the caller."
+  @doc "Starts the accepting process, linked to the caller."
   @spec begin(t(), server :: pid()) :: pid()
   def begin(listener, server), do: spawn_link(fn -> accept(listener, server) end)
 

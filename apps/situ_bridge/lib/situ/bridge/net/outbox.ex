@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Net.Outbox do
   @moduledoc false
-  # Messages on their way to one connection's process: counted, so that a slow one holds up nobody and fills no memory.
-  # `put/3` is the sender's side, `flush/3` the connection's, which gets `{:send, bytes}`.
+  # Counts the messages that wait for the process of one connection, so that a slow connection neither blocks the sender
+  # nor fills memory. The sender calls `put/4`; the connection receives `{:send, bytes}` and calls `flush/3`.
 
   @type t :: :atomics.atomics_ref()
 
@@ -11,7 +11,7 @@ defmodule Situ.Bridge.Net.Outbox do
   @spec new() :: t()
   def new, do: :atomics.new(1, [])
 
-  @doc "How a connection's socket is to be set up."
+  @doc "Returns the socket options of a connection."
   def options, do: [nodelay: true, send_timeout: @send_timeout, send_timeout_close: true]
 
   @spec put(t(), pid(), iodata(), most :: pos_integer()) :: :ok | :full
@@ -25,11 +25,11 @@ defmodule Situ.Bridge.Net.Outbox do
     end
   end
 
-  @doc "How many messages wait."
+  @doc "Returns the number of waiting messages."
   @spec waiting(t()) :: non_neg_integer()
   def waiting(outbox), do: :atomics.get(outbox, 1)
 
-  @doc "Sends `bytes` and whatever else waits: one call into the kernel for many messages."
+  @doc "Sends `bytes` and all other waiting messages in one system call."
   @spec flush(t(), :gen_tcp.socket(), iodata()) :: :ok | {:error, term()}
   def flush(outbox, tcp, bytes) do
     {n, all} = gather(1, [bytes])

@@ -1,13 +1,13 @@
 defmodule Situ.Bridge.Net.Pieces do
   @moduledoc false
-  # The bytes of a connection as they come: kept until there are as many as its reader misses, then given as one binary.
-  # A message of a megabyte would otherwise be copied once for each of its pieces. Pure.
+  # Collects the bytes of a connection until its reader has enough, and returns them as one binary. Without it, a
+  # message of a megabyte would be copied once per received segment. Pure.
   defstruct blocks: [], pieces: [], n: 0, size: 0
 
-  # Pieces that are small cost more than their bytes; so many become a block.
+  # Small segments cost more memory than their bytes, so this many are joined to a block.
   @most 1_024
 
-  # Of a socket whose bytes are gathered: the system's own, of 1.4 kB, makes a thousand pieces of a picture.
+  # The buffer size of such a socket. The system default of 1.4 kB would split an image into a thousand segments.
   @buffer 262_144
 
   @type t :: %__MODULE__{
@@ -17,12 +17,12 @@ defmodule Situ.Bridge.Net.Pieces do
           size: non_neg_integer()
         }
 
-  @doc "The option `buffer:` of a socket, bytes."
+  @doc "Returns the value of the socket option `buffer:`, bytes."
   @spec buffer() :: pos_integer()
   def buffer, do: @buffer
 
   @doc """
-  Adds a piece; the reader misses `missing` bytes at least.
+  Adds a received segment; the reader lacks at least `missing` bytes.
 
       iex> alias Situ.Bridge.Net.Pieces
       iex> {:more, pieces} = Pieces.add(%Pieces{}, "ab", 4)

@@ -1,33 +1,33 @@
 defmodule Situ.Bridge.Net.Protocol do
   @moduledoc false
-  # How messages travel on one connection. Pure: bytes in, bytes out; `arg` is what the protocol was set up with. A
-  # protocol is given as `{module, arg}`.
+  # How messages are encoded on a connection. Pure: bytes in, bytes out. A protocol is given as `{module, arg}`; `arg`
+  # holds its settings.
 
-  @typedoc "The protocol's state of one connection."
+  @typedoc "The protocol's state for one connection."
   @type state :: term()
 
   @doc """
-  A server looks at the first bytes of a client (`""` before any came): it may be served, and is answered so; more is
-  needed; or it is sent off with some last words.
+  Checks the first bytes of a client on the server (`""` before any arrived). Returns the reply to an admitted client,
+  `:more` if more bytes are needed, or the last bytes to send to a refused client.
   """
   @callback admit(bytes :: binary(), arg :: term()) ::
               {:ok, answer :: iodata(), rest :: binary()} | :more | {:refuse, answer :: iodata()}
-  @doc "One message as a server sends it."
+  @doc "Encodes one message for a client."
   @callback frame(payload :: iodata(), arg :: term()) :: iodata()
-  @doc "Bytes of a client that is being served: the answer and the rest of the bytes, or `:close` if it ends."
+  @doc "Handles bytes of an admitted client; returns the reply and the remaining bytes, or `:close` if it disconnects."
   @callback heard(bytes :: binary(), arg :: term()) ::
               {:ok, answer :: iodata(), binary()} | :close
 
-  @doc "A client's first bytes, and its state."
+  @doc "Returns a client's first bytes and its state."
   @callback hello(host :: String.t(), port :: :inet.port_number(), arg :: term()) ::
               {iodata(), state()}
-  @doc "Bytes of a server: the complete payloads, an answer, and the state; no payload may exceed `most` bytes."
+  @doc "Parses bytes of a server; returns the complete payloads (each at most `most` bytes), a reply, and the state."
   @callback read(bytes :: binary(), state(), most :: pos_integer()) ::
               {:ok, [binary()], answer :: iodata(), state()} | {:error, String.t()}
 
-  @doc "How many bytes `read/3` misses at least before it can give a payload; 1 where that is not known."
+  @doc "Returns the minimum number of bytes that `read/3` needs to return a payload, or 1 if that is unknown."
   @callback missing(state()) :: pos_integer()
 
-  # A protocol that we only dial has no server's side.
+  # A protocol that is only used by clients lacks the server's callbacks.
   @optional_callbacks admit: 2, frame: 2, heard: 2, missing: 1
 end

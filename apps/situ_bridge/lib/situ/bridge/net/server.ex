@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Net.Server do
   @moduledoc false
-  # Listens, and hands every message to all clients that have room for it.
+  # Listens, and sends every message to all clients that have room for it.
   use GenServer
   alias Situ.Bridge.Net.{Connection, Linger, Listener, Outbox}
   alias Situ.Bridge.Outlet
@@ -12,8 +12,8 @@ defmodule Situ.Bridge.Net.Server do
   defstruct [:listener, :acceptor, :most, :protocol, :latch, :last, clients: %{}, dropped: 0]
 
   @doc """
-  Opens a port to serve a protocol on; a client may have `most` messages waiting. With `latch: true` a client begins
-  with the last message that was sent. Errors: `:address_in_use`, `:bad_address`.
+  Opens a port and serves a protocol on it; up to `most` messages may wait for a client. With `latch: true`, a new
+  client first receives the last message that was sent. Errors: `:address_in_use`, `:bad_address`.
   """
   @spec open(String.t(), :inet.port_number(), pos_integer(), {module(), term()}, keyword()) ::
           {:ok, pid()} | {:error, Error.t()}
@@ -110,7 +110,7 @@ defmodule Situ.Bridge.Net.Server do
 
   def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
 
-  # A server that ends well takes its connections along; their links would not.
+  # A normal exit does not propagate through links, so the connections are stopped explicitly.
   @impl true
   def terminate(_reason, state) do
     for {client, _} <- state.clients, do: Process.exit(client, :shutdown)

@@ -3,11 +3,11 @@ defmodule Situ.Bridge.Net.Sink do
 
   @schema [
             port: [type: {:integer, 0, 65_535}, required: true, doc: "The port to listen on."],
-            protocol: [type: :any, required: true, doc: "`{module, arg}`."],
+            protocol: [type: :any, required: true, doc: "The protocol, `{module, arg}`."],
             interface: [
               type: :string,
               default: "127.0.0.1",
-              doc: "Where to listen; \"*\": everywhere."
+              doc: "The interface to listen on; \"*\": all interfaces."
             ]
           ] ++ Outlet.options()
   @moduledoc false
@@ -18,13 +18,13 @@ defmodule Situ.Bridge.Net.Sink do
 
   def schema, do: @schema
 
-  @doc "Serves a stream by a protocol; returns the stream."
+  @doc "Serves a stream with a protocol; returns the stream."
   def serve(stream, protocol, port, opts) do
     Situ.via(stream, __MODULE__, [protocol: protocol, port: port] ++ opts)
     stream
   end
 
-  @doc "The options that users give, as documentation."
+  @doc "Returns the documentation of the options for users."
   def docs, do: @schema |> Keyword.drop([:port, :protocol]) |> Situ.Options.docs()
 
   @impl true

@@ -3,18 +3,18 @@ defmodule Situ.Bridge.Net.Source do
   alias Situ.Bridge.Net.{Dial, Pieces}
 
   @schema [
-            host: [type: :string, required: true, doc: "Where the server is."],
-            port: [type: {:integer, 1, 65_535}, required: true, doc: "Its port."],
-            protocol: [type: :any, required: true, doc: "`{module, arg}`."],
+            host: [type: :string, required: true, doc: "The host of the server."],
+            port: [type: {:integer, 1, 65_535}, required: true, doc: "The port of the server."],
+            protocol: [type: :any, required: true, doc: "The protocol, `{module, arg}`."],
             most: [
               type: :pos_integer,
               default: 64 * 1024 * 1024,
-              doc: "The largest message, bytes; a server that sends a larger one is left."
+              doc: "The largest message, bytes; a server that sends a larger one is disconnected."
             ]
           ] ++ Dial.options() ++ Inlet.options()
   @moduledoc false
-  # A connection to a server as a source that never ends. It lives in the component's own process: nothing is read
-  # while the component is busy, so that the other side waits or drops.
+  # A connection to a server as an endless source. The component's process owns the socket: nothing is read while the
+  # component is busy, so the server waits or drops messages.
   use Situ.Component, outputs: [out: :any], options: @schema
   require Logger
 
@@ -23,13 +23,13 @@ defmodule Situ.Bridge.Net.Source do
 
   def schema, do: @schema
 
-  @doc "A source of what a server sends by a protocol."
+  @doc "Adds a source of the messages that a server sends with a protocol."
   def connect(p, protocol, host, port, opts) do
     given = [protocol: protocol, host: host, port: port, outputs: [out: opts[:type] || :any]]
     Situ.source(p, __MODULE__, given ++ opts)
   end
 
-  @doc "The options that users give, as documentation."
+  @doc "Returns the documentation of the options for users."
   def docs, do: @schema |> Keyword.drop([:host, :port, :protocol, :tls]) |> Situ.Options.docs()
 
   @impl true
@@ -107,11 +107,11 @@ defmodule Situ.Bridge.Net.Source do
     end
   end
 
-  # A server that sends what can be read is a good one: should it go, it is looked for soon.
+  # After a readable message the server is known to work: the next reconnect starts with the shortest wait.
   defp well(state, []), do: state
   defp well(state, _payloads), do: %{state | wait: @first_wait, told: nil}
 
-  # The same error is reported once, not at every attempt. A message that was cut off is lost.
+  # A repeated error is logged once, not at every attempt. A partially received message is lost.
   defp again(state, reason) do
     if state.told != reason and reason != :closed,
       do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")

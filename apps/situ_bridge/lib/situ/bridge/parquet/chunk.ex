@@ -1,20 +1,20 @@
 defmodule Situ.Bridge.Parquet.Chunk do
   @moduledoc false
-  # Reads the values of a column in one row group page by page, and returns a few rows at a time, so that memory holds
-  # one page and these rows. Throws `{:not_parquet, why}`, and whatever `read` throws.
+  # Reads the values of a column in one row group page by page and returns a few rows at a time, so that memory holds
+  # only one page and these rows. Throws `{:not_parquet, why}`, and everything that `read` throws.
   alias Situ.Bridge.Columnar.Input
   alias Situ.Bridge.Parquet.{Leaf, Page, Thrift}
 
   @head 4_096
   @small 65_536
-  # A small file could name very many values of one row, since levels pack well.
+  # Levels compress well, so a small file could claim a huge number of values for one row.
   @most_entries 20_000_000
   @enforce_keys [:leaf, :read, :at, :ends, :packing, :left, :nested?]
   defstruct @enforce_keys ++ [dictionary: nil, page: nil, row: [], row_size: 0]
 
   @typedoc """
-  Where the chunk is in the file, how it is packed, and how many values it has; `nested?` values come as the entries of
-  a row.
+  The position of the chunk in the file, its compression and its number of values. `nested?` values are returned as
+  the entries of a row.
   """
   @type place :: %{
           at: non_neg_integer(),
@@ -24,7 +24,7 @@ defmodule Situ.Bridge.Parquet.Chunk do
           nested?: boolean()
         }
 
-  @typedoc "`left` are the values of the pages that are not read yet, `row` the entries of a row that has begun."
+  @typedoc "`left` is the number of values in unread pages, `row` the entries of an incomplete row."
   @type t :: %__MODULE__{}
 
   @spec start(Leaf.t(), place(), Input.read()) :: t()
@@ -40,7 +40,7 @@ defmodule Situ.Bridge.Parquet.Chunk do
     }
   end
 
-  # A small chunk is read at once, since each read switches to another thread.
+  # A small chunk is read in one call, since each read switches to another thread.
   defp read_chunk(%{at: from, size: size}, read) when size in 1..@small do
     bytes = read.(from, size)
     &binary_part(bytes, &1 - from, &2)
@@ -48,7 +48,7 @@ defmodule Situ.Bridge.Parquet.Chunk do
 
   defp read_chunk(_place, read), do: read
 
-  @doc "Takes the next `most` rows, or all there are: a value each, or all entries of the row."
+  @doc "Takes at most `most` rows: one value per row, or all entries of a nested row."
   @spec take_rows(t(), pos_integer()) :: {[term()], t()}
   def take_rows(chunk, most), do: take_rows(chunk, most, [])
 
@@ -72,7 +72,7 @@ defmodule Situ.Bridge.Parquet.Chunk do
     take_rows(%{chunk | page: page}, missing - length(rows), [rows | found])
   end
 
-  # A number of entries ends at most as many rows.
+  # `n` entries complete at most `n` rows.
   defp take_rows(chunk, missing, found) do
     {entries, page} = Page.take_entries(chunk.page, min(missing, chunk.page.left))
     {row, size, rows} = Enum.reduce(entries, {chunk.row, chunk.row_size, []}, &put_entry/2)
@@ -83,13 +83,13 @@ defmodule Situ.Bridge.Parquet.Chunk do
 
   defp concat(found), do: found |> Enum.reverse() |> Enum.concat()
 
-  # A row begins where nothing is repeated.
+  # An entry with repetition level 0 begins a new row.
   defp put_entry({0, _, _} = entry, {[], 0, rows}), do: {[entry], 1, rows}
   defp put_entry({0, _, _} = entry, {row, _, rows}), do: {[entry], 1, [Enum.reverse(row) | rows]}
-  defp put_entry(_entry, {[], 0, _rows}), do: fail("a column that begins within a row")
+  defp put_entry(_entry, {[], 0, _rows}), do: fail("a column begins in the middle of a row")
 
   defp put_entry(_entry, {_row, size, _rows}) when size >= @most_entries,
-    do: fail("a row of more than #{@most_entries} values")
+    do: fail("a row has more than #{@most_entries} values")
 
   defp put_entry(entry, {row, size, rows}), do: {[entry | row], size + 1, rows}
 
@@ -112,7 +112,7 @@ defmodule Situ.Bridge.Parquet.Chunk do
     end
   end
 
-  # Headers are small, but for statistics of long texts.
+  # Headers are small unless they contain statistics of long strings.
   defp read_head(%{at: at, ends: ends} = chunk, most) do
     bytes = chunk.read.(at, min(most, ends - at))
 

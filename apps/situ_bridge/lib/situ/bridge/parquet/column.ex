@@ -1,17 +1,18 @@
 defmodule Situ.Bridge.Parquet.Column do
   @moduledoc false
-  # A column as Parquet has it, and its values as bytes (encoding PLAIN, with levels of definition where values may be
-  # missing). Pure.
+  # Encodes a column for Parquet: its schema element, and its values (encoding PLAIN, with definition levels if values
+  # may be missing). Pure.
   import Bitwise
   alias Situ.Bridge.Columnar.Column
   alias Situ.Bridge.Parquet.Thrift
 
   # Parquet's physical types.
   @physical %{time: 2, integer: 2, float: 5, boolean: 0, text: 6, bytes: 6}
+  @doc "Returns the number of the column's physical type."
   @spec physical(Column.t()) :: non_neg_integer()
   def physical(column), do: @physical[column.kind]
 
-  @doc "The column in the file's schema."
+  @doc "Returns the column's element of the file's schema."
   @spec element(Column.t()) :: {:struct, list()}
   def element(column) do
     logical =
@@ -35,7 +36,7 @@ defmodule Situ.Bridge.Parquet.Column do
 
   defp record(fields), do: {:struct, fields}
 
-  @doc "A page's body: the levels and the values."
+  @doc "Encodes the body of a page: the levels and the values."
   @spec page(Column.t(), Column.values()) :: iodata()
   def page(%{optional?: false}, {:bytes, bytes, _n}), do: bytes
 
@@ -52,7 +53,7 @@ defmodule Situ.Bridge.Parquet.Column do
     [<<IO.iodata_length(levels)::little-32>>, levels, plain(column.kind, there)]
   end
 
-  # One run where all is there; else a bit each, in eights.
+  # If no value is missing, the levels are one run. Otherwise each level is one bit, in groups of eight.
   defp levels(_values, n, n), do: [Thrift.varint(n <<< 1), 1]
 
   defp levels(values, n, _there),

@@ -1,14 +1,15 @@
 defmodule Situ.Bridge.Parquet.Deltas do
   @moduledoc false
-  # Texts whose lengths stand before them (DELTA_LENGTH_BYTE_ARRAY), texts that begin like the one before
-  # (DELTA_BYTE_ARRAY), and values whose bytes are apart (BYTE_STREAM_SPLIT). Pure. Throws `{:not_parquet, why}`.
+  # Decodes strings with separate lengths (DELTA_LENGTH_BYTE_ARRAY), strings that share a prefix with the previous
+  # string (DELTA_BYTE_ARRAY), and values with separated bytes (BYTE_STREAM_SPLIT). Pure. Throws
+  # `{:not_parquet, why}`.
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Parquet.Runs
 
-  # The most bytes that a page may become: prefixes can repeat much with few bytes.
+  # The maximum size of a decoded page: shared prefixes can expand a few bytes into a huge amount of data.
   @most 268_435_456
 
-  @doc "Decodes at most `most` texts whose lengths stand before them."
+  @doc "Decodes at most `most` strings whose lengths are stored before them."
   @spec decode_texts(binary(), most :: non_neg_integer()) :: [binary()]
   def decode_texts(bytes, most) do
     {lengths, rest} = Runs.decode_deltas(bytes, most, 32)
@@ -20,20 +21,20 @@ defmodule Situ.Bridge.Parquet.Deltas do
             {:binary.copy(text), rest}
 
           _ ->
-            fail("a text that is cut short")
+            fail("a string is truncated")
         end
       end)
 
     texts
   end
 
-  @doc "Decodes at most `most` texts that begin like the text before."
+  @doc "Decodes at most `most` strings that share a prefix with the previous string."
   @spec decode_prefixed_texts(binary(), most :: non_neg_integer()) :: [binary()]
   def decode_prefixed_texts(bytes, most) do
     {lengths, rest} = Runs.decode_deltas(bytes, most, 32)
     suffixes = decode_texts(rest, most)
 
-    if length(lengths) != length(suffixes), do: fail("texts that begin, and do not go on")
+    if length(lengths) != length(suffixes), do: fail("strings have a prefix but no suffix")
 
     {texts, _} =
       lengths
@@ -42,7 +43,7 @@ defmodule Situ.Bridge.Parquet.Deltas do
         size = size + shared + byte_size(suffix)
 
         if shared not in 0..byte_size(before) or size > @most,
-          do: fail("texts that begin like more than the one before")
+          do: fail("the shared prefix of a string is too long")
 
         text = binary_part(before, 0, shared) <> suffix
         {text, {text, size}}
@@ -52,8 +53,8 @@ defmodule Situ.Bridge.Parquet.Deltas do
   end
 
   @doc """
-  Joins the bytes of the values `from` to `from + n`, where the first bytes of all values come first, then all second
-  ones ...
+  Joins the bytes of the values `from` to `from + n - 1`. The input holds the first bytes of all values, then all
+  second bytes, and so on.
 
       iex> Situ.Bridge.Parquet.Deltas.join_bytes(<<1, 2, 3, 4, 5, 6>>, 2, 1, 2)
       <<2, 5, 3, 6>>
@@ -67,7 +68,7 @@ defmodule Situ.Bridge.Parquet.Deltas do
           binary()
   def join_bytes(bytes, width, from, n) do
     count = div(byte_size(bytes), width)
-    if from + n > count, do: fail("a page with too few values")
+    if from + n > count, do: fail("a page has too few values")
 
     for(
       i <- 0..(width - 1)//1,

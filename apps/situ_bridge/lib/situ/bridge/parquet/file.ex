@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Parquet.File do
   @moduledoc false
-  # Reads a Parquet file: its columns, and the rows of its row groups, some at a time.
+  # Reads a Parquet file: its columns, and the rows of its row groups, a few at a time.
   @behaviour Situ.Bridge.Columnar.Reader
   alias Situ.Bridge.Columnar.Input
   alias Situ.Bridge.Parquet.{Chunk, Thrift, Tree}
@@ -22,7 +22,7 @@ defmodule Situ.Bridge.Parquet.File do
           packed?: boolean()
         }
 
-  # Looks at the footer. Errors: `:io`, `:not_parquet`.
+  # Reads only the footer. Errors: `:io`, `:not_parquet`.
   @impl true
   def open(path), do: Input.read(path, @format, &footer(&1, path))
 
@@ -87,7 +87,7 @@ defmodule Situ.Bridge.Parquet.File do
     {rows, chunks} = chunks |> Enum.map(&Chunk.take_rows(&1, n)) |> Enum.unzip()
 
     if Enum.any?(rows, &(length(&1) != n)),
-      do: fail("#{inspect(column.name)} has another number of rows than its group")
+      do: fail("#{inspect(column.name)} does not have as many rows as its group")
 
     {values(column, rows), column, chunks}
   end
@@ -102,7 +102,7 @@ defmodule Situ.Bridge.Parquet.File do
       case Enum.at(chunks, leaf.at) do
         %{3 => %{4 => codec, 5 => count, 7 => size, 9 => data} = meta}
         when size in 0..@most_chunk and is_integer(codec) and is_integer(data) and count >= 0 ->
-          # Some writers give 0 for no dictionary.
+          # Some writers set the offset to 0 for chunks without a dictionary.
           dictionary = if is_integer(meta[11]) and meta[11] > 0, do: meta[11], else: data
 
           {leaf,
@@ -115,7 +115,7 @@ defmodule Situ.Bridge.Parquet.File do
            }}
 
         _ ->
-          fail("the chunk of #{inspect(leaf.name)} is not there")
+          fail("the chunk of #{inspect(leaf.name)} is missing or malformed")
       end
     end
   end

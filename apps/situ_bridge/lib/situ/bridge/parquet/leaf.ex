@@ -1,8 +1,8 @@
 defmodule Situ.Bridge.Parquet.Leaf do
   @moduledoc false
-  # A column of values: how Parquet writes them, and their meaning. Pure.
+  # A column of plain values: their representation in Parquet, and their meaning. Pure.
 
-  # Factors to nanoseconds: by the old kinds of times and by the units of the new ones.
+  # Factors to nanoseconds: for the legacy converted types, and for the units of the logical types.
   @old_kinds %{
     6 => {:times, 86_400_000_000_000},
     7 => {:times, 1_000_000},
@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Parquet.Leaf do
   @enforce_keys [:at, :name, :type]
   defstruct [:at, :name, :type, :as, length: 0, definition: 0, repetition: 0, time?: false]
 
-  @typedoc "`at` counts the leaves, which row groups have in this order; the levels are the highest ones."
+  @typedoc "`at` is the leaf's index in its row group; `definition` and `repetition` are the maximum levels."
   @type t :: %__MODULE__{
           at: non_neg_integer(),
           name: String.t(),
@@ -29,7 +29,7 @@ defmodule Situ.Bridge.Parquet.Leaf do
           time?: boolean()
         }
 
-  @doc "The leaf of an element of the schema, with its levels."
+  @doc "Builds the leaf of a schema element with its levels."
   @spec new(map(), non_neg_integer(), non_neg_integer(), non_neg_integer()) :: t()
   def new(element, at, definition, repetition) do
     time? = match?(%{8 => _}, element[10]) or element[6] in [9, 10] or element[1] == 3
@@ -52,14 +52,14 @@ defmodule Situ.Bridge.Parquet.Leaf do
   defp bytes(%{10 => %{15 => _}, 2 => 2}), do: :half
   defp bytes(_), do: nil
 
-  # Moments, and times of a day.
+  # Timestamps and times of day.
   defp number(%{10 => %{8 => %{2 => unit}}}) when map_size(unit) == 1, do: unit(unit)
   defp number(%{10 => %{7 => %{2 => unit}}}) when map_size(unit) == 1, do: unit(unit)
   defp number(%{6 => 5, 7 => scale}) when scale in 0..38, do: {:scale, scale}
   defp number(%{6 => kind}) when is_map_key(@unsigned, kind), do: {:unsigned, @unsigned[kind]}
   defp number(%{6 => kind}) when is_map_key(@old_kinds, kind), do: @old_kinds[kind]
   defp number(%{10 => %{5 => decimal}}) when is_map(decimal), do: scale(:scale, decimal)
-  # Not every writer still gives the old kinds.
+  # Some writers no longer set the legacy converted types.
   defp number(%{10 => %{6 => date}}) when is_map(date), do: @old_kinds[6]
 
   defp number(%{10 => %{10 => %{1 => bits, 2 => false}}}) when bits in [8, 16, 32, 64],
@@ -75,7 +75,7 @@ defmodule Situ.Bridge.Parquet.Leaf do
   end
 
   @doc """
-  A value of bytes by its meaning.
+  Converts the bytes of a value according to their meaning.
 
       iex> alias Situ.Bridge.Parquet.Leaf
       iex> {Leaf.meant(<<255, 6>>, {:decimal, 2}), Leaf.meant(<<0, 0x3E>>, :half), Leaf.meant("x", nil)}

@@ -1,20 +1,21 @@
 defmodule Situ.Bridge.Parquet.Packed do
   @moduledoc false
-  # Unpacks a compressed page, to at most the bytes that its header promises. Throws `{:not_parquet, why}`.
+  # Unpacks a compressed page, up to the size that its header declares. Throws `{:not_parquet, why}`.
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.{Gzip, Native}
   alias Situ.Bridge.Parquet.Thrift
 
   @names %{3 => "LZO", 4 => "Brotli"}
 
+  @doc "Unpacks a page of `size` bytes."
   @spec undo(codec :: integer(), binary(), size :: non_neg_integer()) :: binary()
   def undo(0, bytes, _size), do: bytes
-  # Some writers leave nothing of nothing: no packed bytes at all.
+  # Some writers store an empty page as no bytes at all.
   def undo(codec, "", 0) when codec not in [3, 4], do: ""
   def undo(1, bytes, size), do: exactly(snappy(bytes, size), size)
   def undo(2, bytes, size), do: exactly(gunzip(bytes, size), size)
 
-  # The old LZ4 is framed as Hadoop does it, or a plain block: writers did not agree.
+  # Writers disagree on the deprecated LZ4 codec: they use Hadoop's framing or a plain block.
   def undo(5, bytes, size) do
     case hadoop(bytes, size, []) do
       {:ok, unpacked} -> unpacked
@@ -28,17 +29,17 @@ defmodule Situ.Bridge.Parquet.Packed do
   def undo(codec, _bytes, _size),
     do:
       fail(
-        "pages are packed by #{@names[codec] || codec}; none, Snappy, gzip, zstd and LZ4 are read"
+        "pages are compressed with #{@names[codec] || codec}; supported are none, Snappy, gzip, zstd and LZ4"
       )
 
   defp native(codec, bytes, size) do
     case Native.unpack(codec, bytes, size) do
       {:ok, bytes} -> exactly(bytes, size)
-      {:error, why} -> fail("a page packed by #{codec}: #{inspect(why)}")
+      {:error, why} -> fail("a page compressed with #{codec}: #{inspect(why)}")
     end
   end
 
-  # Blocks, each after its size unpacked and its size packed, the highest byte first.
+  # Each block is preceded by its uncompressed and its compressed size, both big-endian.
   defp hadoop("", 0, blocks), do: {:ok, blocks |> Enum.reverse() |> IO.iodata_to_binary()}
 
   defp hadoop(<<n::32, packed::32, rest::binary>>, left, blocks)
@@ -54,20 +55,21 @@ defmodule Situ.Bridge.Parquet.Packed do
   defp hadoop(_bytes, _left, _blocks), do: :error
 
   defp exactly(bytes, size) when byte_size(bytes) == size, do: bytes
-  defp exactly(_bytes, _size), do: fail("a page unpacks to another size")
+  defp exactly(_bytes, _size), do: fail("a page does not unpack to its declared size")
 
   defp gunzip(bytes, size) do
     case Gzip.unpack(bytes, size) do
       {:ok, bytes} -> bytes
-      {:error, :too_large} -> fail("a page unpacks to more than it says")
-      {:error, :not_gzip} -> fail("a page packed by gzip that is not")
+      {:error, :too_large} -> fail("a page unpacks to more than its declared size")
+      {:error, :not_gzip} -> fail("a page declared as gzip is not gzip")
     end
   end
 
-  # Snappy (https://github.com/google/snappy/blob/main/format_description.txt): literals, and copies of what was there.
+  # Snappy (https://github.com/google/snappy/blob/main/format_description.txt): literals, and copies of earlier
+  # output.
   defp snappy(bytes, size) do
     {n, rest} = Thrift.unsigned(bytes)
-    if n != size, do: fail("a page packed by Snappy has another size")
+    if n != size, do: fail("a page compressed with Snappy has a different size")
     elements(rest, <<>>, size)
   end
 
@@ -84,7 +86,7 @@ defmodule Situ.Bridge.Parquet.Packed do
         literal(rest, length + 1, out, size)
 
       _ ->
-        fail("a page packed by Snappy is cut short")
+        fail("a page compressed with Snappy is truncated")
     end
   end
 
@@ -97,7 +99,7 @@ defmodule Situ.Bridge.Parquet.Packed do
   defp elements(<<n::6, 3::2, back::little-32, rest::binary>>, out, size),
     do: copy(rest, back, n + 1, out, size)
 
-  defp elements(_short, _out, _size), do: fail("a page packed by Snappy is cut short")
+  defp elements(_short, _out, _size), do: fail("a page compressed with Snappy is truncated")
 
   defp literal(rest, n, out, size) when byte_size(out) + n <= size do
     case rest do
@@ -105,22 +107,22 @@ defmodule Situ.Bridge.Parquet.Packed do
         elements(rest, <<out::binary, part::binary>>, size)
 
       _ ->
-        fail("a page packed by Snappy is cut short")
+        fail("a page compressed with Snappy is truncated")
     end
   end
 
-  defp literal(_rest, _n, _out, _size), do: fail("a page unpacks to more than it says")
+  defp literal(_rest, _n, _out, _size), do: fail("a page unpacks to more than its declared size")
 
   defp copy(rest, back, n, out, size)
        when back in 1..byte_size(out)//1 and byte_size(out) + n <= size do
     part = binary_part(out, byte_size(out) - back, min(back, n))
-    # A copy may reach into itself: then it repeats.
+    # A copy may overlap its own output; then the bytes repeat.
     part = if back < n, do: binary_part(:binary.copy(part, div(n, back) + 1), 0, n), else: part
     elements(rest, <<out::binary, part::binary>>, size)
   end
 
   defp copy(_rest, _back, _n, _out, _size),
-    do: fail("a page packed by Snappy copies what is not there")
+    do: fail("a page compressed with Snappy has a copy out of range")
 
   defp fail(why), do: throw({:not_parquet, why})
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Parquet.Page do
   @moduledoc false
-  # One page of a column's values: its levels and its values, taken a few at a time. Pure, but for what unpacks. Throws
-  # `{:not_parquet, why}`.
+  # One page of a column's values: its levels and its values, taken a few at a time. Pure, except for unpacking.
+  # Throws `{:not_parquet, why}`.
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Parquet.{Leaf, Packed, Runs, Values}
 
@@ -10,7 +10,7 @@ defmodule Situ.Bridge.Parquet.Page do
   @enforce_keys [:leaf, :left, :repeats, :defines, :values]
   defstruct @enforce_keys
 
-  @typedoc "`left` are the entries that are not taken yet."
+  @typedoc "`left` is the number of entries that have not been taken yet."
   @type t :: %__MODULE__{
           leaf: Leaf.t(),
           left: non_neg_integer(),
@@ -19,21 +19,21 @@ defmodule Situ.Bridge.Parquet.Page do
           values: Values.t()
         }
 
-  @typedoc "How a column chunk is packed; `packed?` where its file says of packed pages that they are not."
+  @typedoc "The compression of a column chunk; `packed?` if the file may declare compressed pages as uncompressed."
   @type packing :: %{codec: integer(), packed?: boolean()}
 
-  @typedoc "A value with its levels of repetition and definition, or of a flat column the value alone."
+  @typedoc "A value with its repetition and definition levels, or only the value for flat columns."
   @type entry :: {non_neg_integer(), non_neg_integer(), term()} | term()
 
-  @doc "The size of a page's body in the file, from its header. Throws where there is no room for it."
+  @doc "Returns the size of a page's body in the file, from its header. Throws if it exceeds the remaining `room`."
   @spec stored_size(map(), room :: non_neg_integer()) :: non_neg_integer()
   def stored_size(%{2 => size, 3 => stored}, room)
       when stored in 0..room//1 and size in 0..@most_bytes,
       do: stored
 
-  def stored_size(head, room), do: fail("a page of #{inspect(head[3])} bytes in #{room}")
+  def stored_size(head, room), do: fail("a page of #{inspect(head[3])} bytes in #{room} bytes")
 
-  @doc "The entries of a page that holds a dictionary."
+  @doc "Decodes the entries of a dictionary page."
   @spec decode_dictionary(map(), binary(), Leaf.t(), packing()) :: Values.dictionary()
   def decode_dictionary(%{2 => size, 7 => %{1 => n}}, body, leaf, packing)
       when is_integer(n) and n >= 0 do
@@ -42,7 +42,7 @@ defmodule Situ.Bridge.Parquet.Page do
 
   def decode_dictionary(_head, _body, _leaf, _packing), do: fail("a page's header is malformed")
 
-  @doc "A page of at most `most` entries, or `nil` for one that holds no values."
+  @doc "Starts decoding a page of at most `most` entries; returns `nil` if the page holds no values."
   @spec start(
           map(),
           binary(),
@@ -59,18 +59,19 @@ defmodule Situ.Bridge.Parquet.Page do
     page(leaf, n, {repeats, defines}, {encoding, bytes, dictionary})
   end
 
-  # The second kind of page has its levels outside of what is packed.
+  # The levels of a version 2 data page are not compressed.
   def start(%{1 => 3, 2 => size, 8 => %{1 => n, 4 => encoding} = head}, body, column, most)
       when n in 0..most//1 do
     {leaf, packing, dictionary} = column
     {repeats, defines} = {head[6] || 0, head[5] || 0}
 
     unless repeats in 0..byte_size(body) and defines in 0..(byte_size(body) - repeats)//1,
-      do: fail("levels that do not fit into their page")
+      do: fail("the levels do not fit into their page")
 
     <<repeat::binary-known(repeats), define::binary-known(defines), rest::binary>> = body
     size = max(size - defines - repeats, 0)
-    # pyarrow before version 3 packs such pages and says that it does not; the sizes give it away.
+
+    # pyarrow before version 3 compresses such pages but declares them as uncompressed; the sizes reveal it.
     plain? = head[7] == false and not packing.packed? and size == byte_size(rest)
     bytes = if plain?, do: rest, else: Packed.undo(packing.codec, rest, size)
     page(leaf, n, {repeat, define}, {encoding, bytes, dictionary})
@@ -79,13 +80,13 @@ defmodule Situ.Bridge.Parquet.Page do
   def start(%{1 => kind}, _body, _column, _most) when kind not in [0, 2, 3], do: nil
   def start(_head, _body, _column, _most), do: fail("a page's header is malformed")
 
-  # Levels of 0 are not written.
+  # If the maximum level is 0, no levels are written.
   defp split_levels(bytes, 0), do: {"", bytes}
 
   defp split_levels(<<n::little-32, levels::binary-size(n), bytes::binary>>, _most),
     do: {levels, bytes}
 
-  defp split_levels(_bytes, _most), do: fail("levels that do not fit into their page")
+  defp split_levels(_bytes, _most), do: fail("the levels do not fit into their page")
 
   defp page(leaf, n, {repeats, defines}, {encoding, bytes, dictionary}) do
     %__MODULE__{
@@ -118,7 +119,7 @@ defmodule Situ.Bridge.Parquet.Page do
   defp put_missing([_ | defines], values), do: [nil | put_missing(defines, values)]
   defp put_missing([], []), do: []
 
-  @doc "Takes the next `n` values of a column within others, with their levels."
+  @doc "Takes the next `n` values of a nested column, with their levels."
   @spec take_entries(t(), non_neg_integer()) :: {[entry()], t()}
   def take_entries(%{leaf: %{definition: most}} = page, n) do
     {repeats, repeats_left} = Runs.take(page.repeats, n)
@@ -135,10 +136,10 @@ defmodule Situ.Bridge.Parquet.Page do
     do: [{r, d, nil} | put_levels(repeats, defines, most, values)]
 
   defp put_levels([], [], _most, []), do: []
-  defp put_levels(_, _, _, _), do: fail("levels beyond those of their column")
+  defp put_levels(_, _, _, _), do: fail("a level exceeds the maximum level of its column")
 
   defp taken(%{left: n} = page, n) do
-    if Values.left_over?(page.values), do: fail("another number of values than the page says")
+    if Values.left_over?(page.values), do: fail("a page has more values than it declares")
     %{page | left: 0}
   end
 

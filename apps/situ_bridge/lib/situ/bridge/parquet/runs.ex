@@ -1,28 +1,29 @@
 defmodule Situ.Bridge.Parquet.Runs do
   @moduledoc false
-  # Small numbers as runs of one number and groups of eight packed ones (Parquet's RLE/bit-packing hybrid), taken a few
-  # at a time, and numbers as packed differences (DELTA_BINARY_PACKED). Pure. Throws `{:not_parquet, why}`.
+  # Decodes small numbers stored as runs of equal numbers and groups of eight packed numbers (Parquet's
+  # RLE/bit-packing hybrid), a few at a time, and numbers stored as packed deltas (DELTA_BINARY_PACKED). Pure. Throws
+  # `{:not_parquet, why}`.
   import Situ.Bits, only: [known: 1]
   import Bitwise
   alias Situ.Bridge.Parquet.Thrift
 
-  # Differences of no bits take no bytes: a small page could name very many of them.
+  # Deltas of zero bits take no bytes, so a small page could claim a huge number of them.
   @most_deltas 20_000_000
 
   @enforce_keys [:bytes, :width]
   defstruct [:bytes, :width, run: nil]
 
-  @typedoc "The run that is being read: a number and how often it is left, or packed groups and unpacked numbers."
+  @typedoc "The current run: a number and its remaining count, or packed groups and the numbers unpacked so far."
   @type run ::
           nil
           | {:same, non_neg_integer(), pos_integer()}
           | {:packed, binary(), [non_neg_integer()]}
   @type t :: %__MODULE__{bytes: binary(), width: 0..32, run: run()}
 
-  @doc "Numbers of `width` bits that begin at the beginning of `bytes`."
+  @doc "Starts reading numbers of `width` bits at the beginning of `bytes`."
   @spec start(binary(), non_neg_integer()) :: t()
   def start(bytes, width) when width <= 32, do: %__MODULE__{bytes: bytes, width: width}
-  def start(_bytes, width), do: fail("numbers of #{width} bits")
+  def start(_bytes, width), do: fail("numbers have an invalid width of #{width} bits")
 
   @doc """
   Takes the next `count` numbers.
@@ -62,7 +63,7 @@ defmodule Situ.Bridge.Parquet.Runs do
         %{runs | bytes: rest, run: if(packed != "", do: {:packed, packed, []})}
 
       {0, _rest} ->
-        fail("a run of nothing")
+        fail("a run is empty")
 
       {head, rest} ->
         {value, rest} = split_bytes(rest, div(width + 7, 8))
@@ -75,9 +76,9 @@ defmodule Situ.Bridge.Parquet.Runs do
     {part, rest}
   end
 
-  defp split_bytes(_bytes, n), do: fail("it lacks #{n} bytes")
+  defp split_bytes(_bytes, n), do: fail("#{n} bytes are missing")
 
-  # The lowest bits first: as one number, taken from its end.
+  # The lowest bits come first, so a group is decoded as one little-endian number.
   defp unpack(bytes, width) do
     for <<group::binary-known(width) <- bytes>>,
         n = :binary.decode_unsigned(group, :little),
@@ -86,7 +87,7 @@ defmodule Situ.Bridge.Parquet.Runs do
   end
 
   @doc """
-  Decodes at most `most` numbers of `bits` bits from packed differences; also returns the bytes after them.
+  Decodes at most `most` numbers of `bits` bits from packed deltas; also returns the bytes after them.
 
   Sums wrap at the width of the column: a writer of `int32` may store the difference from -2147483648 to 2147483647 as
   -1.
@@ -104,7 +105,7 @@ defmodule Situ.Bridge.Parquet.Runs do
 
     if minis == 0 or block == 0 or rem(block, minis * 8) != 0 or block > 1_048_576 or
          count > min(most, @most_deltas),
-       do: fail("packed differences that are none")
+       do: fail("a block of packed deltas is malformed")
 
     if count == 0,
       do: {[], rest},
@@ -125,7 +126,7 @@ defmodule Situ.Bridge.Parquet.Runs do
   defp minis(rest, _widths, _block, left, found) when left <= 0, do: {rest, left, found}
 
   defp minis(rest, [width | widths], {size, least, bits} = block, left, found) do
-    if width > 64, do: fail("numbers of #{width} bits")
+    if width > 64, do: fail("deltas have an invalid width of #{width} bits")
     {bytes, rest} = split_bytes(rest, div(size * width, 8))
     n = min(size, left)
     deltas = if width == 0, do: List.duplicate(0, n), else: bytes |> unpack(width) |> Enum.take(n)

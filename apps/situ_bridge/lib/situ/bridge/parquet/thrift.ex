@@ -1,16 +1,18 @@
 defmodule Situ.Bridge.Parquet.Thrift do
   @moduledoc false
-  # Thrift's compact protocol (thrift-compact-protocol.md in https://github.com/apache/thrift), as far as Parquet has it.
-  # Pure.
+  # Thrift's compact protocol (thrift-compact-protocol.md in https://github.com/apache/thrift), limited to the types
+  # that Parquet uses. Pure.
   #
-  # Written are `{:i32 | :i64, n}`, `{:bool, b}`, `{:binary, bytes}`, `{:list, [value]}` and `{:struct, [{id, value}]}`,
-  # in the order of their ids; read are numbers, booleans, binaries, lists, and structs as maps of their ids.
+  # Encodes `{:i32 | :i64, n}`, `{:bool, b}`, `{:binary, bytes}`, `{:list, [value]}` and `{:struct, [{id, value}]}`,
+  # whose fields are in the order of their ids. Decodes numbers, booleans, binaries, lists, and structs as maps by
+  # field id.
   import Situ.Bits, only: [known: 1]
   import Bitwise
 
   @types %{i32: 5, i64: 6, binary: 8, list: 9, struct: 12}
   @deepest 32
 
+  @doc "Encodes a struct."
   @spec write({:struct, [{pos_integer(), term()}]}) :: iodata()
   def write({:struct, fields}) do
     {parts, _} =
@@ -39,12 +41,12 @@ defmodule Situ.Bridge.Parquet.Thrift do
 
   defp zigzag(n), do: bxor(n <<< 1, n >>> 63) &&& 0xFFFFFFFFFFFFFFFF
 
-  @doc "A number of seven bits a byte, the lowest first."
+  @doc "Encodes a number with seven bits per byte, the lowest bits first."
   @spec varint(non_neg_integer()) :: iodata()
   def varint(n) when n < 128, do: <<n>>
   def varint(n), do: [<<1::1, n::7>>, varint(n >>> 7)]
 
-  @doc "The struct at the beginning of `bytes`, and what follows it. Throws `{:not_parquet, why}`."
+  @doc "Decodes the struct at the start of `bytes`; also returns the remaining bytes. Throws `{:not_parquet, why}`."
   @spec read(binary()) :: {map(), binary()}
   def read(bytes), do: members(bytes, 0, %{}, 0)
 
@@ -61,7 +63,7 @@ defmodule Situ.Bridge.Parquet.Thrift do
   defp members(<<delta::4, type::4, rest::binary>>, last, found, depth),
     do: member(last + delta, type, rest, found, depth)
 
-  defp members("", _last, _found, _depth), do: fail("it is cut short")
+  defp members("", _last, _found, _depth), do: fail("it is truncated")
 
   defp member(id, type, rest, found, depth) do
     {value, rest} = value(type, rest, depth)
@@ -80,13 +82,13 @@ defmodule Situ.Bridge.Parquet.Thrift do
 
     case rest do
       <<bytes::binary-known(n), rest::binary>> -> {bytes, rest}
-      _ -> fail("it is cut short")
+      _ -> fail("it is truncated")
     end
   end
 
   defp value(type, <<head, rest::binary>>, depth) when type in [9, 10] do
     {n, rest} = if head >>> 4 == 15, do: unsigned(rest), else: {head >>> 4, rest}
-    # Every element takes a byte at least.
+    # Every element takes at least one byte.
     if n > byte_size(rest), do: fail("a list of #{n} elements in #{byte_size(rest)} bytes")
     elements(n, head &&& 15, rest, depth, [])
   end
@@ -109,14 +111,14 @@ defmodule Situ.Bridge.Parquet.Thrift do
     {bxor(n >>> 1, -(n &&& 1)), rest}
   end
 
-  @doc "The number that `varint/1` writes."
+  @doc "Decodes a number encoded by `varint/1`; also returns the remaining bytes."
   def unsigned(bytes), do: unsigned(bytes, 0, 0)
   defp unsigned(<<0::1, n::7, rest::binary>>, shift, sum), do: {sum + (n <<< shift), rest}
 
   defp unsigned(<<1::1, n::7, rest::binary>>, shift, sum) when shift < 63,
     do: unsigned(rest, shift + 7, sum + (n <<< shift))
 
-  defp unsigned(_, _, _), do: fail("a number that is none")
+  defp unsigned(_, _, _), do: fail("a variable-length number is malformed")
 
   defp fail(why), do: throw({:not_parquet, why})
 end

@@ -1,15 +1,15 @@
 defmodule Situ.Bridge.Parquet.Tree do
   @moduledoc false
-  # The schema of a Parquet file as columns. One that is flat is a leaf; one of lists, maps or structs has a tree, whose
-  # values are put together from its leaves by the levels beside their values (Dremel's). Pure. Throws
-  # `{:not_parquet, why}`.
+  # The schema of a Parquet file as columns. A flat column is a leaf. A column of lists, maps or structs is a tree,
+  # whose values are assembled from its leaves by their repetition and definition levels (Dremel encoding). Pure.
+  # Throws `{:not_parquet, why}`.
   alias Situ.Bridge.Columnar.Names
   alias Situ.Bridge.Parquet.Leaf
 
   @deepest 32
   @repeated 2
 
-  @typedoc "`definition` is the level at which a node is there, `level` the one at which its elements begin."
+  @typedoc "`definition` is the level from which a node is present, `level` the level at which its elements begin."
   @type tree :: %{
           name: String.t(),
           kind: :leaf | :struct | :list | :map,
@@ -20,10 +20,10 @@ defmodule Situ.Bridge.Parquet.Tree do
           leaves: [Leaf.t()]
         }
   @type column :: Leaf.t() | %{name: String.t(), time?: false, tree: tree()}
-  @typedoc "A leaf's value with its levels of repetition and definition."
+  @typedoc "The value of a leaf with its repetition and definition levels."
   @type entry :: {non_neg_integer(), non_neg_integer(), term()}
 
-  @doc "The columns of a schema's elements, the root left out. Of several of one name, the later ones are numbered."
+  @doc "Builds the columns of a schema from its elements without the root. Duplicate names are numbered."
   @spec columns([map()]) :: [column()]
   def columns(elements), do: elements |> columns(0, []) |> Names.distinguish()
 
@@ -53,7 +53,7 @@ defmodule Situ.Bridge.Parquet.Tree do
     if is_integer(element[5]) do
       {children, rest, at} = children(element[5], rest, at, {definition, level}, depth + 1, [])
       leaves = Enum.flat_map(children, & &1.leaves)
-      if leaves == [], do: fail("a group of columns without any")
+      if leaves == [], do: fail("a group has no columns")
       children = Names.distinguish(children)
 
       tree = Map.merge(base, %{kind: kind(element, children), children: children, leaves: leaves})
@@ -76,7 +76,7 @@ defmodule Situ.Bridge.Parquet.Tree do
 
   defp children(_n, _rest, _at, _levels, _depth, _found), do: fail("its schema is malformed")
 
-  # Lists and maps are groups of one group that is repeated.
+  # Lists and maps are groups whose only child is a repeated group.
   defp kind(element, [%{repetition: @repeated}]) do
     cond do
       element[6] == 3 or match?(%{3 => _}, element[10]) -> :list
@@ -87,14 +87,14 @@ defmodule Situ.Bridge.Parquet.Tree do
 
   defp kind(_element, _children), do: :struct
 
-  @doc "The value of one row, out of the entries that each leaf has of it."
+  @doc "Returns the value of one row, assembled from the entries of each leaf."
   @spec row_value(tree(), [[entry()]]) :: term()
   def row_value(tree, rows) do
     places = Enum.map(tree.leaves, & &1.at)
     value(tree, places |> Enum.zip(rows) |> Map.new())
   end
 
-  # Where a level begins, an element begins.
+  # A repetition level up to `level` begins a new element.
   defp split([], _level), do: []
 
   defp split([first | rest], level) do
@@ -148,7 +148,7 @@ defmodule Situ.Bridge.Parquet.Tree do
   defp content(%{kind: :map, children: [pairs]}, held),
     do: for(held <- elements(pairs, held), do: content(pairs, held))
 
-  # Old writers left the group between the list and its elements out.
+  # Old writers omit the group between the list and its elements.
   defp element(%{kind: :struct, children: [one], name: between}, name, held) do
     if between in ["array", name <> "_tuple"],
       do: %{one.name => value(one, held)},

@@ -1,17 +1,17 @@
 defmodule Situ.Bridge.Parquet.Values do
   @moduledoc false
-  # The values of one page, taken a few at a time: a page of a megabyte is 131,072 floats, and each of them is four
-  # times as large as a term. Pure. Throws `{:not_parquet, why}`.
+  # The values of one page, decoded a few at a time: a page of one megabyte has 131,072 floats, and each is four times
+  # as large as a term. Pure. Throws `{:not_parquet, why}`.
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Parquet.{Deltas, Leaf, Runs}
 
-  # Bytes of a number, by Parquet's types.
+  # The number of bytes of a value, by Parquet's physical type.
   @widths %{1 => 4, 2 => 8, 3 => 12, 4 => 4, 5 => 8}
   @encodings %{4 => "BIT_PACKED"}
 
   @typedoc """
-  The rest of a page: plain bytes; plain booleans, and those that are unpacked; numbers of entries of a dictionary;
-  runs of booleans; bytes that are apart, and how many values are taken; or values.
+  The rest of a page: plain bytes; packed booleans, and the booleans unpacked so far; dictionary indexes; runs of
+  booleans; separated bytes, and the number of values taken; or decoded values.
   """
   @type t ::
           {:plain, Leaf.t(), binary()}
@@ -22,13 +22,13 @@ defmodule Situ.Bridge.Parquet.Values do
           | {:decoded, [term()]}
 
   @typedoc """
-  The entries of a dictionary: of one size as they are, decoded where they are needed, for there may be many more of
-  them than rows that are asked for; else the values.
+  The entries of a dictionary. Entries of a fixed size stay encoded and are decoded on demand, because a dictionary
+  may have many more entries than the requested rows. Other entries are decoded.
   """
   @type dictionary ::
           {:packed, Leaf.t(), width :: pos_integer(), binary()} | {:decoded, tuple()}
 
-  @doc "A dictionary of `n` entries."
+  @doc "Builds a dictionary of `n` entries."
   @spec start_dictionary(Leaf.t(), binary(), non_neg_integer()) :: dictionary()
   def start_dictionary(%{type: type} = leaf, bytes, n) when type in 1..5 do
     width = @widths[type]
@@ -47,9 +47,9 @@ defmodule Situ.Bridge.Parquet.Values do
   end
 
   defp entry({:decoded, values}, place) when place < tuple_size(values), do: elem(values, place)
-  defp entry(_dictionary, _place), do: fail("a number beyond the dictionary")
+  defp entry(_dictionary, _place), do: fail("an index is outside the dictionary")
 
-  @doc "The values of a page of `n` rows or fewer, none of them taken."
+  @doc "Starts decoding the values of a page with at most `n` rows."
   @spec start(Leaf.t(), encoding :: integer(), binary(), n :: pos_integer(), dictionary() | nil) ::
           t()
   def start(%{type: 0}, 0, bytes, _n, _dictionary), do: {:bits, bytes, []}
@@ -76,19 +76,19 @@ defmodule Situ.Bridge.Parquet.Values do
 
   def start(leaf, 9, bytes, _n, _dictionary) do
     width = width(leaf)
-    if rem(byte_size(bytes), width) != 0, do: fail("values whose bytes are apart, some cut short")
+    if rem(byte_size(bytes), width) != 0, do: fail("a byte stream does not have whole values")
     {:apart, leaf, width, bytes, 0}
   end
 
   def start(_leaf, encoding, _bytes, _n, _dictionary) do
     name = @encodings[encoding] || inspect(encoding)
-    fail("values are written as #{name}, which is not read here")
+    fail("the encoding #{name} is not supported")
   end
 
   defp width(%{type: type}) when type in [1, 4], do: 4
   defp width(%{type: type}) when type in [2, 5], do: 8
   defp width(%{type: 7, length: length}) when length > 0, do: length
-  defp width(_leaf), do: fail("values whose bytes are apart, of no size")
+  defp width(_leaf), do: fail("a byte stream has values without a size")
 
   @doc "Takes the next `n` values."
   @spec take(t(), non_neg_integer()) :: {[term()], t()}
@@ -99,7 +99,7 @@ defmodule Situ.Bridge.Parquet.Values do
     {values, {:plain, leaf, rest}}
   end
 
-  # Eight booleans are a byte: some may be left over.
+  # A byte holds eight booleans, so some may be left over.
   def take({:bits, bytes, held}, n) do
     {packed, rest} = split_bytes(bytes, div(max(n - length(held), 0) + 7, 8))
     {values, held} = Enum.split(held ++ bits(packed), n)
@@ -125,15 +125,15 @@ defmodule Situ.Bridge.Parquet.Values do
 
   def take({:decoded, values}, n) do
     {taken, values} = Enum.split(values, n)
-    if length(taken) < n, do: fail("another number of values than the page says")
+    if length(taken) < n, do: fail("a page has fewer values than it declares")
     {taken, {:decoded, values}}
   end
 
-  @doc "Whether the encoding, which counts its values itself, has more of them than were taken."
+  @doc "Returns whether values are left over. Only encodings with their own count of values can have some."
   @spec left_over?(t()) :: boolean()
   def left_over?(values), do: match?({:decoded, [_ | _]}, values)
 
-  @doc "Decodes the first `n` values as they are in memory (PLAIN); also returns the bytes after them."
+  @doc "Decodes the first `n` values of the encoding PLAIN; also returns the remaining bytes."
   @spec decode_plain(Leaf.t(), binary(), non_neg_integer()) :: {[term()], binary()}
   def decode_plain(%{type: 0}, bytes, n) do
     {packed, rest} = split_bytes(bytes, div(n + 7, 8))
@@ -155,7 +155,7 @@ defmodule Situ.Bridge.Parquet.Values do
     {numbers(type, packed, as), rest}
   end
 
-  def decode_plain(_leaf, _bytes, _n), do: fail("values of no size")
+  def decode_plain(_leaf, _bytes, _n), do: fail("fixed-size values have no size")
 
   defp numbers(1, packed, as), do: for(<<x::little-signed-32 <- packed>>, do: convert(x, as))
   defp numbers(2, packed, as), do: for(<<x::little-signed-64 <- packed>>, do: convert(x, as))
@@ -179,14 +179,14 @@ defmodule Situ.Bridge.Parquet.Values do
     {part, rest}
   end
 
-  defp split_bytes(_bytes, _n), do: fail("a page with too few values")
+  defp split_bytes(_bytes, _n), do: fail("a page has too few values")
 
   defp texts(bytes, 0, _as, found), do: {Enum.reverse(found), bytes}
 
   defp texts(<<n::little-32, text::binary-size(n), rest::binary>>, left, as, found),
     do: texts(rest, left - 1, as, [text |> :binary.copy() |> Leaf.meant(as) | found])
 
-  defp texts(_short, _left, _as, _found), do: fail("a text that is cut short")
+  defp texts(_short, _left, _as, _found), do: fail("a string is truncated")
 
   defp float(<<x::little-float-64>>), do: x
   defp float(<<x::little-float-32>>), do: x

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Parquet.Writer do
   @moduledoc false
-  # A Parquet file (https://github.com/apache/parquet-format): row groups of one page a column, then the footer.
+  # Writes a Parquet file (https://github.com/apache/parquet-format): row groups with one page per column, and the
+  # footer.
   @behaviour Situ.Bridge.Columnar.Writer
   alias Situ.Bridge.Columnar.Output
   alias Situ.Bridge.Parquet.{Column, Thrift}

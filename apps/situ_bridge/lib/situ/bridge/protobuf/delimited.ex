@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Protobuf.Delimited do
   @moduledoc false
-  # Messages one after the other, each behind its length as a varint.
+  # A sequence of messages, each preceded by its length as a varint.
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Protobuf.Writer
   alias Situ.Error
@@ -9,13 +9,15 @@ defmodule Situ.Bridge.Protobuf.Delimited do
   @most 64 * 1024 * 1024
 
   @doc """
+  Prefixes a message with its length.
+
       iex> Situ.Bridge.Protobuf.Delimited.frame(<<1, 2>>) |> IO.iodata_to_binary()
       <<2, 1, 2>>
   """
   @spec frame(iodata()) :: iodata()
   def frame(bytes), do: [bytes |> IO.iodata_length() |> Writer.put_varint(), bytes]
 
-  @doc "The messages' bytes, each with the place it begins at; raises `Situ.Error` (`:io`, `:bad_file`)."
+  @doc "Streams the bytes of each message with their offset; raises `Situ.Error` (`:io`, `:bad_file`)."
   @spec payloads(Path.t()) :: Enumerable.t()
   def payloads(path) do
     Stream.resource(
@@ -36,7 +38,7 @@ defmodule Situ.Bridge.Protobuf.Delimited do
         case split(bytes <> more, at, []) do
           {:ok, found, rest, at} -> {found, {file, rest, at}}
           {:error, [], at, why} -> raise bad(path, at, why)
-          # The messages before the fault are handed out first.
+          # The messages before the invalid one are returned first.
           {:error, found, at, _why} -> {found, {file, rest(bytes <> more, found, at), at}}
         end
 
@@ -54,25 +56,25 @@ defmodule Situ.Bridge.Protobuf.Delimited do
   defp ended(bytes, at, path) do
     case split(bytes, at, []) do
       {:error, _, at, why} -> raise bad(path, at, why)
-      _ -> raise bad(path, at, "the file is cut short within a message")
+      _ -> raise bad(path, at, "the file ends within a message")
     end
   end
 
-  # From the fault on.
+  # The bytes from the invalid message on.
   defp rest(bytes, [{first, _} | _], at),
     do: binary_part(bytes, at - first, byte_size(bytes) - at + first)
 
   defp split(bytes, at, found) do
     case length(bytes, 0, 0) do
       {n, _, _} when n > @most ->
-        {:error, Enum.reverse(found), at, "a message of #{n} bytes"}
+        {:error, Enum.reverse(found), at, "a message of #{n} bytes exceeds the limit"}
 
       {n, used, rest} when byte_size(rest) >= n ->
         <<payload::binary-known(n), rest::binary>> = rest
         split(rest, at + used + n, [{at, payload} | found])
 
       :wrong ->
-        {:error, Enum.reverse(found), at, "no length stands there"}
+        {:error, Enum.reverse(found), at, "the length of a message is invalid"}
 
       _more ->
         {:ok, Enum.reverse(found), bytes, at}
@@ -91,13 +93,13 @@ defmodule Situ.Bridge.Protobuf.Delimited do
 
   @spec io(Path.t(), atom()) :: Error.t()
   def io(path, reason),
-    do: Error.new(:io, "cannot use #{path}", why: to_string(:file.format_error(reason)))
+    do: Error.new(:io, "cannot access #{path}", why: to_string(:file.format_error(reason)))
 
   @spec bad(Path.t(), non_neg_integer(), String.t()) :: Error.t()
   def bad(path, at, why) do
-    Error.new(:bad_file, "#{path} cannot be read",
+    Error.new(:bad_file, "cannot read #{path}",
       why: "#{why} (at byte #{at})",
-      fix: "check that its messages are of this type, each behind its length"
+      fix: "check that all messages have this type, and that each is preceded by its length"
     )
   end
 end

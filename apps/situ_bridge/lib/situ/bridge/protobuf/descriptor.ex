@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Protobuf.Descriptor do
   @moduledoc false
-  # Definitions as programs exchange them: a FileDescriptorSet, read and written by the schema of itself. Pure.
+  # Definitions in binary form: a FileDescriptorSet, decoded and encoded with its own schema. Pure.
   alias Situ.Bridge.Protobuf.{Reader, Schema, Text, Writer}
   alias Schema.Field
 
@@ -8,7 +8,7 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
   @google File.read!(path)
   @set "google.protobuf.FileDescriptorSet"
 
-  # Types by their numbers, as FieldDescriptorProto has them; 10, groups, are not read.
+  # Types by their numbers in FieldDescriptorProto. Groups (10) are not supported.
   @types %{
     1 => :double,
     2 => :float,
@@ -37,14 +37,14 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
     end
   end
 
-  @doc "Google's own types, for definitions that import them: `{messages, enums}` as `Schema.new/2` takes them."
+  @doc "Returns Google's types, for definitions that import them, as `{messages, enums}` for `Schema.new/2`."
   @spec google() :: {list(), list()}
   def google do
     {:ok, messages, enums} = Text.types(@google)
     {messages, enums}
   end
 
-  @doc "The schema in the bytes of a FileDescriptorSet."
+  @doc "Parses the bytes of a FileDescriptorSet to a schema."
   @spec read(binary()) :: {:ok, Schema.t()} | {:error, String.t()}
   def read(bytes) do
     with {:ok, %{"file" => files}} <- Reader.decode(own(), @set, bytes) do
@@ -69,7 +69,7 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
   defp whole(scope, name), do: scope <> "." <> (name || "")
 
   defp messages(_message, scope, _style, @deepest),
-    do: throw({:not_proto, "#{scope} lies #{@deepest} deep"})
+    do: throw({:not_proto, "#{scope} is nested #{@deepest} deep"})
 
   defp messages(message, scope, style, depth) do
     name = whole(scope, message["name"])
@@ -83,7 +83,8 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
     ]
   end
 
-  defp enums(_message, scope, @deepest), do: throw({:not_proto, "#{scope} lies #{@deepest} deep"})
+  defp enums(_message, scope, @deepest),
+    do: throw({:not_proto, "#{scope} is nested #{@deepest} deep"})
 
   defp enums(message, scope, depth) do
     name = whole(scope, message["name"])
@@ -97,7 +98,7 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
       {whole(scope, enum["name"]),
        for(v <- enum["value"], do: {v["name"] || "", v["number"] || 0})}
 
-  # Groups are skipped when a message is read.
+  # The reader skips groups.
   defp field(%{"type" => 10}, _scope, _style, _oneofs), do: []
 
   defp field(f, scope, style, oneofs) do
@@ -134,7 +135,7 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
          "the field #{inspect(f["name"])} of #{scope} has the type #{inspect(f["type"])}"}
       )
 
-  # An optional field of proto3 is a oneof of one.
+  # Proto3 represents an optional field as a oneof with one member, which is not a oneof to users.
   defp oneof(%{"oneof_index" => n, "proto3_optional" => optional}, oneofs)
        when is_integer(n) and n >= 0 and n < tuple_size(oneofs) and optional != true,
        do: elem(oneofs, n)
@@ -146,7 +147,7 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
   defp packed?(%{"options" => %{"packed" => packed}}, _style) when is_boolean(packed), do: packed
   defp packed?(_field, style), do: style.packed?
 
-  @doc "A FileDescriptorSet of the message `name` and all that it is made of, a file a package."
+  @doc "Encodes a FileDescriptorSet of the message `name` and all types it uses, with one file per package."
   @spec write(Schema.t(), String.t()) :: binary()
   def write(schema, name) do
     names = needed([name], schema, MapSet.new())
@@ -185,7 +186,7 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
           _enum -> []
         end
 
-      # Those that a type lies in go with it.
+      # The enclosing types of a nested type are included, too.
       above = for above <- above(name), is_map_key(schema.messages, above), do: above
       needed(inner ++ above ++ rest, schema, MapSet.put(found, name))
     end
@@ -195,7 +196,7 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
     name |> String.split(".") |> Enum.scan(&(&2 <> "." <> &1)) |> Enum.drop(-1)
   end
 
-  # The outermost type's scope.
+  # The package is the scope of the outermost type.
   defp package(name, schema) do
     outermost =
       Enum.find(
@@ -240,13 +241,13 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
         for {value, n} <- Enum.sort_by(schema.enums[name].numbers, &elem(&1, 1)),
             do: %{"name" => value, "number" => n}
 
-      # The first of proto3's is zero.
+      # The first value of a proto3 enumeration must be zero.
       {zero, others} = Enum.split_with(values, &(&1["number"] == 0))
       %{"name" => last(name), "value" => zero ++ others}
     end
   end
 
-  # Those of the definition, then one for each field that is optional in proto3.
+  # Lists the oneofs of the definition, and then one for each field that is optional in proto3.
   defp oneofs(fields) do
     real = for %{oneof: oneof} <- fields, oneof != nil, uniq: true, do: oneof
     real ++ for(field <- fields, synthetic?(field), do: "_" <> field.name)

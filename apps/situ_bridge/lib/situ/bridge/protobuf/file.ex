@@ -5,50 +5,54 @@ defmodule Situ.Bridge.Protobuf.File do
   alias Situ.Error
 
   @common [
-    type: [type: :string, required: true, doc: "The messages' type, `\"package.Message\"`."],
+    type: [type: :string, required: true, doc: "The type of the messages, `\"package.Message\"`."],
     definition: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "The text of a `.proto` file, or a FileDescriptorSet; else the file `PATH.desc`, else Foxglove's own messages."
+        "The text of a `.proto` file, or a FileDescriptorSet; default: the file `PATH.desc`, or Foxglove's messages."
     ],
     time: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "The field that holds originating times, a Timestamp or an integer of ns, as `\"header.stamp\"`; by " <>
-          "default `timestamp`, `time`, `stamp`, `originating_time` or `header.stamp`, whichever there is first."
+        "The field with the originating time, a Timestamp or an integer (ns), such as `\"header.stamp\"`. The " <>
+          "default is the first of `timestamp`, `time`, `stamp`, `originating_time` and `header.stamp` that exists."
     ]
   ]
-  @write [path: [type: :string, required: true, doc: "The file; one that is there is replaced."]] ++
+  @write [path: [type: :string, required: true, doc: "The file; an existing file is replaced."]] ++
            @common
   @read @common ++
           [
             every: [
               type: {:optional, :pos_integer},
               default: nil,
-              doc: "For messages without a time: the time from one to the next, ns."
+              doc: "For messages without a time: the interval between messages, ns."
             ],
-            start: [type: :integer, default: 0, doc: "With `every:`, the time of the first, ns."],
+            start: [
+              type: :integer,
+              default: 0,
+              doc: "With `every:`, the time of the first message, ns."
+            ],
             messages: [
               type: {:in, [:situ, :maps]},
               default: :situ,
-              doc: "Foxglove's messages as Situ's types, or all as maps."
+              doc:
+                "`:situ` converts Foxglove's messages to Situ's types; `:maps` returns all messages as maps."
             ]
           ]
   @moduledoc """
-  Files of Protobuf messages, each behind its length as a varint: as `writeDelimitedTo` of Java and C++ and
-  `google.protobuf.proto.serialize_length_prefixed` of Python write them.
+  Reads and writes files of Protobuf messages, each preceded by its length as a varint. `writeDelimitedTo` of Java and
+  C++ and `google.protobuf.proto.serialize_length_prefixed` of Python write the same format.
 
       definition = ~s(syntax = "proto3"; package lab; message Level { int64 time = 1; double volts = 2; })
       Situ.Bridge.Protobuf.File.write(levels, "levels.pb", type: "lab.Level", definition: definition)
       levels = Situ.Bridge.Protobuf.File.read(p, "levels.pb", type: "lab.Level")
 
-  Messages are maps (`Situ.Bridge.Protobuf`), Foxglove's Situ's types. Originating times stand in a field, `time:`; a
-  writer puts them there. Beside a file that it writes lies its definition, `PATH.desc`, a FileDescriptorSet for
-  `protoc --decode` and every other reader. Files may have any length; one that is cut short is read to its last whole
-  message, and then an error, `:bad_file`.
-
+  Messages are maps (`Situ.Bridge.Protobuf`); Foxglove's messages are Situ's types. The option `time:` names the field
+  with the originating time, which a writer fills in. A writer also saves the definition next to the file as
+  `PATH.desc`, a FileDescriptorSet for `protoc --decode` and other readers. Files may have any length. A truncated file
+  is read to its last complete message, and then raises the error `:bad_file`.
   ## Options of `write/3`
 
   #{Situ.Options.docs(Keyword.delete(@write, :path))}
@@ -58,7 +62,7 @@ defmodule Situ.Bridge.Protobuf.File do
   @chunk 65_536
   @told 1_000
 
-  @doc "Writes a stream to a file; returns the stream. Errors of the pipeline: `:no_such_type`, `:no_time`."
+  @doc "Writes a stream to a file; returns the stream. Pipeline errors: `:no_such_type`, `:no_time`."
   @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def write(stream, path, opts) do
     Situ.via(stream, __MODULE__, [path: path] ++ opts)
@@ -66,9 +70,9 @@ defmodule Situ.Bridge.Protobuf.File do
   end
 
   @doc """
-  Writes messages to a file, which is there, with its definition, when it is whole: how many there were. Options as
-  `write/3`, and `progress:`, a function of the messages written so far. Errors: `:no_such_type`, `:no_time`,
-  `:not_writable`, `:io`.
+  Writes messages to a file and returns their number. The file and its definition appear under their names only when
+  complete. Takes the options of `write/3`, and `progress:`, a function that is called with the number of messages
+  written so far. Errors: `:no_such_type`, `:no_time`, `:not_writable`, `:io`.
   """
   @spec save(Enumerable.t(Situ.Message.t()), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
@@ -102,25 +106,25 @@ defmodule Situ.Bridge.Protobuf.File do
       )
 
   @doc """
-  A source of a file's messages, with their times; it proposes a replay from the first one on. A file without messages
-  is an error, `:empty_file`.
+  Adds a source of a file's messages with their times; it proposes a replay from the first message on. A file without
+  messages is an error, `:empty_file`.
 
   #{Situ.Options.docs(@read)}
   """
   @spec read(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def read(p, path, opts), do: Situ.Bridge.File.replayed(p, messages(path, opts), path)
 
-  @doc "The name that all bridges have for their way out: `write/3`."
+  @doc "Calls `write/3`; every bridge has a function `sink`."
   @spec sink(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def sink(stream, path, opts), do: write(stream, path, opts)
 
-  @doc "The name that all bridges have for their way in: `read/3`."
+  @doc "Calls `read/3`; every bridge has a function `source`."
   @spec source(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def source(p, path, opts), do: read(p, path, opts)
 
   @doc """
-  The messages of a file as a lazy enumerable of `{time, value}`. Raises `Situ.Error` at once for a definition that does
-  not do (`:bad_definition`, `:no_such_type`, `:no_time`), and while it is taken from: `:io`, `:bad_file`.
+  Returns the messages of a file as a lazy enumerable of `{time, value}`. Raises `Situ.Error` immediately for an invalid
+  definition (`:bad_definition`, `:no_such_type`, `:no_time`), and during enumeration: `:io`, `:bad_file`.
   """
   @spec messages(Path.t(), keyword()) :: Enumerable.t()
   def messages(path, opts) do
@@ -156,7 +160,7 @@ defmodule Situ.Bridge.Protobuf.File do
         true -> Messages.schema()
       end
 
-    # It says which types there are.
+    # Decoding returns the error that lists the existing types.
     if not is_map_key(schema.messages, opts[:type]),
       do: Error.unwrap!(Protobuf.decode(schema, opts[:type], ""))
 
@@ -168,7 +172,7 @@ defmodule Situ.Bridge.Protobuf.File do
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
-    # Another file's definition that lies there is none of this one's.
+    # An existing definition at the path belongs to another file, so the path is not used here.
     schema = schema!("", opts)
     stamp = Stamp.find!(schema, opts[:type], opts[:time])
 
@@ -186,7 +190,7 @@ defmodule Situ.Bridge.Protobuf.File do
     time = message.originating_time
     data = Standard.to(opts[:type], message.data, time)
 
-    if not is_map(data), do: raise(unwritable(opts, "it is no map"))
+    if not is_map(data), do: raise(unwritable(opts, "its data are not a map"))
 
     case Protobuf.Writer.encode(state.schema, opts[:type], Stamp.put(data, state.stamp, time)) do
       {:ok, bytes} -> append(state, Delimited.frame(bytes))
@@ -197,7 +201,7 @@ defmodule Situ.Bridge.Protobuf.File do
   end
 
   defp unwritable(opts, why),
-    do: Error.new(:not_writable, "a message cannot be written as #{opts[:type]}", why: why)
+    do: Error.new(:not_writable, "cannot write a message as #{opts[:type]}", why: why)
 
   defp append(state, bytes) do
     with {:error, reason} <- :file.write(state.file, bytes),

@@ -1,9 +1,9 @@
 defmodule Situ.Bridge.Protobuf.Reader do
   @moduledoc false
-  # Protobuf's bytes as maps, by a schema. Pure.
+  # Decodes Protobuf bytes to maps with a schema. Pure.
   #
-  # Reading is bounded by the bytes there are: messages nest a hundred deep at most, and the maps that are made have no
-  # more members in all than `@base` and `@rate` for each byte, however many fields a schema gives its messages.
+  # Memory is bounded by the size of the input: messages nest at most a hundred deep, and all maps together have at most
+  # `@base` members plus `@rate` for each byte, however many fields a schema gives its messages.
   import Situ.Bits, only: [known: 1]
   import Bitwise
   alias Situ.Bridge.Protobuf.Schema
@@ -14,7 +14,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
   @rate 16
   @times ["google.protobuf.Timestamp", "google.protobuf.Duration"]
 
-  @doc "The message `name` in `bytes`. Error: a sentence."
+  @doc "Decodes `bytes` as the message `name`. The error is a sentence."
   @spec decode(Schema.t(), String.t(), binary()) :: {:ok, map()} | {:error, String.t()}
   def decode(schema, name, bytes) do
     {value, _budget} = message(bytes, name, schema, @base + @rate * byte_size(bytes), 0)
@@ -26,7 +26,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
   defp fail(why), do: throw({:not_protobuf, why})
 
   defp message(_bytes, name, _schema, _budget, @deepest),
-    do: fail("#{name} lies #{@deepest} deep")
+    do: fail("#{name} is nested #{@deepest} deep")
 
   defp message(bytes, name, schema, budget, depth) do
     type = Map.fetch!(schema.messages, name)
@@ -42,7 +42,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
 
   defp timed(_name, value), do: value
 
-  # `{number, value}` of every field that is known, the last first; messages as bytes.
+  # Returns `{number, value}` of every known field, the last one first; messages are still bytes.
   defp scan("", _fields, found), do: found
 
   defp scan(bytes, fields, found) do
@@ -96,7 +96,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
         varints(bytes, type, [])
 
       {kind, size} ->
-        if rem(byte_size(bytes), size) != 0, do: fail("a list of numbers ends within one")
+        if rem(byte_size(bytes), size) != 0, do: fail("a packed list ends within a number")
         Number.read_all(kind, bytes, :little)
     end
   end
@@ -139,7 +139,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
 
     case rest do
       <<taken::binary-known(n), rest::binary>> -> {taken, rest}
-      _ -> fail("#{n} bytes are due where there are #{byte_size(rest)}")
+      _ -> fail("#{n} bytes are expected, but only #{byte_size(rest)} are left")
     end
   end
 
@@ -148,7 +148,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
   defp skip(bytes, 2, _number, _depth), do: bytes |> sized() |> elem(1)
   defp skip(<<_::binary-4, rest::binary>>, 5, _number, _depth), do: rest
 
-  # A group ends with its own number.
+  # A group ends with an end tag of the same number.
   defp skip(bytes, 3, number, depth) when depth < @deepest do
     {key, rest} = varint(bytes)
 
@@ -159,9 +159,9 @@ defmodule Situ.Bridge.Protobuf.Reader do
   end
 
   defp skip(_bytes, wire, number, _depth),
-    do: fail("the field #{number} cannot be read (#{wire})")
+    do: fail("the field #{number} (wire type #{wire}) is invalid or incomplete")
 
-  # The fields found become the map's members; the last of several holds, parts of a message are one message.
+  # Repeated occurrences of a single field: the last scalar wins, and the parts of a message are merged.
   defp build(found, type, schema, budget, depth) do
     found
     |> Enum.reduce(%{}, fn {number, value}, all ->
@@ -177,7 +177,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
     end)
   end
 
-  # Of a oneof's members the last that was written holds.
+  # Only the member of a oneof that was written last is kept.
   defp one_of(map, [{_, _} | _] = found, type) do
     for %{oneof: oneof} = field <- type.fields, oneof != nil, reduce: map do
       map -> if holds?(field, found, type), do: map, else: %{map | field.name => nil}
@@ -222,7 +222,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
   defp named(%{type: {:enum, name}}, n, schema), do: Map.get(schema.enums[name].names, n, n)
   defp named(_field, value, _schema), do: value
 
-  # Keys of maps are strings as everywhere.
+  # All map keys are strings, as in other formats.
   defp key(key) when is_binary(key), do: key
   defp key(key), do: to_string(key)
 end

@@ -1,11 +1,11 @@
 defmodule Situ.Bridge.Protobuf.Schema do
   @moduledoc false
-  # The messages and enumerations that a definition has, by their whole names. Pure data: made by `Protobuf.Text` and
-  # `Protobuf.Descriptor`, finished by `new/2`.
+  # The messages and enumerations of a definition, by their full names. Pure data: parsed by `Protobuf.Text` and
+  # `Protobuf.Descriptor`, and completed by `new/2`.
 
   defmodule Field do
     @moduledoc false
-    # `type`: `:double` ... `:sint64`, `{:message, name}` or `{:enum, name}`. `presence?`: one that is not there is
+    # `type` is `:double` ... `:sint64`, `{:message, name}` or `{:enum, name}`. With `presence?`, a missing field is
     # `nil`.
     @enforce_keys [:name, :number, :type]
     defstruct [
@@ -39,13 +39,13 @@ defmodule Situ.Bridge.Protobuf.Schema do
   @most_types 5_000
   @most_fields 2_000
 
-  @doc "A scalar type by its name."
+  @doc "Returns the scalar type of a name."
   @spec scalar(String.t()) :: {:ok, atom()} | :error
   def scalar(name), do: Map.fetch(@names, name)
 
   @doc """
-  A schema of messages (`{name, fields, map?}`) and enumerations (`{name, [{name, number}]}`). Errors are sentences: a
-  type that is not there, numbers that no field may have, more than anyone means.
+  Builds a schema of messages (`{name, fields, map?}`) and enumerations (`{name, [{name, number}]}`). Errors are
+  sentences about unknown types, invalid field numbers, or too many types or fields.
   """
   @spec new([{String.t(), [Field.t()], boolean()}], [{String.t(), [{String.t(), integer()}]}]) ::
           {:ok, t()} | {:error, String.t()}
@@ -62,7 +62,7 @@ defmodule Situ.Bridge.Protobuf.Schema do
   end
 
   defp enum(values) do
-    # Of several names for a number the first one holds.
+    # If several names share a number, the first name is used.
     %{
       names: values |> Enum.reverse() |> Map.new(fn {name, number} -> {number, name} end),
       numbers: Map.new(values)
@@ -95,10 +95,10 @@ defmodule Situ.Bridge.Protobuf.Schema do
     do: "has the number #{inspect(n)}"
 
   defp trouble(%{type: {:message, type}}, known, _enums),
-    do: if(type not in known, do: "has the type #{type}, which is not there")
+    do: if(type not in known, do: "has the unknown type #{type}")
 
   defp trouble(%{type: {:enum, type}}, _known, enums),
-    do: if(not is_map_key(enums, type), do: "has the type #{type}, which is not there")
+    do: if(not is_map_key(enums, type), do: "has the unknown type #{type}")
 
   defp trouble(_field, _known, _enums), do: nil
 
@@ -115,7 +115,7 @@ defmodule Situ.Bridge.Protobuf.Schema do
      }}
   end
 
-  # A message that is not there is `nil` anyway.
+  # A missing message is `nil` in any case.
   defp alone(%{type: {:message, _}} = field), do: %{field | presence?: false}
   defp alone(field), do: field
 
@@ -128,7 +128,7 @@ defmodule Situ.Bridge.Protobuf.Schema do
   defp absent(%{type: {:enum, name}}, enums, _maps), do: Map.get(enums[name].names, 0, 0)
   defp absent(%{type: type}, _enums, _maps), do: zero(type)
 
-  @doc "How a type lies in the bytes: 0, 1, 2 or 5."
+  @doc "Returns the wire type of a type: 0, 1, 2 or 5."
   @spec wire(atom() | {:message | :enum, String.t()}) :: 0 | 1 | 2 | 5
   def wire({:message, _}), do: 2
   def wire({:enum, _}), do: 0
@@ -137,7 +137,7 @@ defmodule Situ.Bridge.Protobuf.Schema do
   def wire(type) when type in [:float, :fixed32, :sfixed32], do: 5
   def wire(_varint), do: 0
 
-  @doc "The kind of a number of fixed size (`Situ.Bridge.Ros.Number`), and its bytes; `nil` for other types."
+  @doc "Returns the kind (`Situ.Bridge.Ros.Number`) and size in bytes of a fixed-size number, or `nil` for other types."
   @spec fixed(atom() | tuple()) :: {atom(), 4 | 8} | nil
   def fixed(:double), do: {:float64, 8}
   def fixed(:fixed64), do: {:uint64, 8}
@@ -147,7 +147,7 @@ defmodule Situ.Bridge.Protobuf.Schema do
   def fixed(:sfixed32), do: {:int32, 4}
   def fixed(_type), do: nil
 
-  @doc "The value of a scalar field that is not written."
+  @doc "Returns the value of a scalar field that is not encoded."
   @spec zero(atom()) :: term()
   def zero(type) when type in [:double, :float], do: 0.0
   def zero(:bool), do: false

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Protobuf.Stamp do
   @moduledoc false
-  # The field of a message that holds its originating time: a path of names.
+  # The field with the originating time of a message, as a path of names.
   alias Situ.Bridge.Protobuf.Schema
   alias Situ.Error
 
@@ -9,13 +9,13 @@ defmodule Situ.Bridge.Protobuf.Stamp do
 
   @type t :: [String.t(), ...]
 
-  @doc "The field called so, or one with a usual name. Raises `Situ.Error`, `:no_time`."
+  @doc "Returns the path of the field `name`, or of the first field with a usual name. Raises `Situ.Error`, `:no_time`."
   @spec find!(Schema.t(), String.t(), String.t() | nil) :: t()
   def find!(schema, type, nil) do
     Enum.find(@usual, &time?(schema, type, &1)) ||
       raise none(
               type,
-              "it has none of #{Enum.map_join(@usual, ", ", fn path -> Enum.join(path, ".") end)}"
+              "none of #{Enum.map_join(@usual, ", ", fn path -> Enum.join(path, ".") end)} exists as a time field"
             )
   end
 
@@ -24,13 +24,13 @@ defmodule Situ.Bridge.Protobuf.Stamp do
 
     if time?(schema, type, path),
       do: path,
-      else: raise(none(type, "#{name} is no Timestamp and no integer of 64 bits in it"))
+      else: raise(none(type, "#{name} is not a Timestamp or a 64-bit integer in this type"))
   end
 
   defp none(type, why) do
     Error.new(:no_time, "#{type} has no field for the originating time",
       why: why,
-      fix: "name one with time:, or read it with every:"
+      fix: "name a field with time:, or read the file with every:"
     )
   end
 
@@ -48,12 +48,12 @@ defmodule Situ.Bridge.Protobuf.Stamp do
     end
   end
 
-  @doc "The time in a message; 0 where it has none, as Protobuf has it."
+  @doc "Returns the time in a message, or 0 if it is missing, which is Protobuf's default."
   @spec get(map(), t()) :: Situ.Time.t()
   def get(message, [name]), do: message[name] || 0
   def get(message, [name | deeper]), do: get(message[name] || %{}, deeper)
 
-  @doc "The message with this time."
+  @doc "Puts a time into a message."
   @spec put(map(), t(), Situ.Time.t()) :: map()
   def put(message, [name], time), do: Map.put(message, name, time)
 

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Protobuf.Text do
   @moduledoc false
-  # Definitions as they stand in `.proto` files: messages, enumerations, maps, oneofs, of proto2 and proto3. Options,
-  # services and imports are passed over; what is imported must stand in the same text. Pure.
+  # Parses `.proto` files of proto2 and proto3: messages, enumerations, maps and oneofs. Options, services and imports
+  # are skipped; imported definitions must be part of the same text. Pure.
   alias Situ.Bridge.Protobuf.Schema
   alias Schema.Field
 
@@ -11,7 +11,7 @@ defmodule Situ.Bridge.Protobuf.Text do
   @token Regex.compile!(Enum.join([@comments, @strings, @words], "|"), "s")
   @deepest 50
 
-  @doc "The schema of a text, with the messages and enumerations of `also` known to it."
+  @doc "Parses a text to a schema; `also` lists the messages and enumerations that the text may refer to."
   @spec parse(String.t(), [{list(), list()}]) :: {:ok, Schema.t()} | {:error, String.t()}
   def parse(text, also \\ []) do
     with {:ok, messages, enums} <- types(text) do
@@ -20,7 +20,7 @@ defmodule Situ.Bridge.Protobuf.Text do
     end
   end
 
-  @doc "The types of a text, their names whole: `{:ok, messages, enums}` as `Schema.new/2` takes them."
+  @doc "Returns the types of a text with their full names: `{:ok, messages, enums}` for `Schema.new/2`."
   @spec types(String.t()) :: {:ok, list(), list()} | {:error, String.t()}
   def types(text) do
     if String.valid?(text) do
@@ -28,7 +28,7 @@ defmodule Situ.Bridge.Protobuf.Text do
       found = file(tokens, %{package: "", proto3?: false, messages: [], enums: []})
       {:ok, resolved(found), Enum.reverse(found.enums)}
     else
-      {:error, "it is no text in UTF-8"}
+      {:error, "the definition is not valid UTF-8"}
     end
   catch
     {:not_proto, why} -> {:error, why}
@@ -42,7 +42,7 @@ defmodule Situ.Bridge.Protobuf.Text do
 
   @spec odd([String.t()]) :: no_return()
   defp odd(tokens),
-    do: throw({:not_proto, "it has #{inspect(Enum.join(Enum.take(tokens, 5), " "))}"})
+    do: throw({:not_proto, "unexpected text: #{inspect(Enum.join(Enum.take(tokens, 5), " "))}"})
 
   defp file([], found), do: found
 
@@ -74,7 +74,7 @@ defmodule Situ.Bridge.Protobuf.Text do
   defp whole("", name), do: name
   defp whole(scope, name), do: scope <> "." <> name
 
-  # To behind the next semicolon; a bracket of braces within is passed over.
+  # Skips to the position after the next semicolon, and over any nested block in braces.
   defp past([";" | rest]), do: rest
   defp past(["{" | rest]), do: rest |> block(1) |> past()
   defp past([_ | rest]), do: past(rest)
@@ -91,7 +91,7 @@ defmodule Situ.Bridge.Protobuf.Text do
   defp block([], _depth), do: fail("a block does not end")
 
   defp message(_tokens, name, _found, depth) when depth > @deepest,
-    do: fail("#{name} lies deeper than #{@deepest} messages")
+    do: fail("#{name} is nested deeper than #{@deepest} messages")
 
   defp message(tokens, name, found, depth) do
     {rest, found, fields} = body(tokens, name, found, [], nil, depth)
@@ -190,14 +190,14 @@ defmodule Situ.Bridge.Protobuf.Text do
     case Integer.parse(text) do
       {0, "x" <> digits} -> hexadecimal(digits)
       {n, ""} -> n
-      _ -> fail("#{inspect(text)} is no number")
+      _ -> fail("#{inspect(text)} is not a number")
     end
   end
 
   defp hexadecimal(digits) do
     case Integer.parse(digits, 16) do
       {n, ""} -> n
-      _ -> fail("0x#{digits} is no number")
+      _ -> fail("0x#{digits} is not a number")
     end
   end
 
@@ -220,7 +220,7 @@ defmodule Situ.Bridge.Protobuf.Text do
   defp values([], name, _values), do: fail("#{name} does not end")
   defp values(tokens, _name, _values), do: odd(tokens)
 
-  # A type's name is looked up from the innermost scope outwards.
+  # A type name is resolved from the innermost scope outwards.
   defp resolved(found) do
     messages = MapSet.new(found.messages, &elem(&1, 0))
     enums = MapSet.new(found.enums, &elem(&1, 0))
@@ -245,7 +245,7 @@ defmodule Situ.Bridge.Protobuf.Text do
   defp named(field, {:enum, _} = type), do: %{field | type: type}
   defp named(field, type), do: %{field | type: type, packed?: false}
 
-  # One that is written whole, and stands elsewhere, is left as it is: `also` may have it.
+  # A fully qualified name of an unknown type is kept: `also` may define it.
   defp lookup("." <> name, _scope, _messages, enums),
     do: if(name in enums, do: {:enum, name}, else: {:message, name})
 

@@ -1,13 +1,13 @@
 defmodule Situ.Bridge.Protobuf.Writer do
   @moduledoc false
-  # Maps as Protobuf's bytes, by a schema. Pure.
+  # Encodes maps to Protobuf bytes with a schema. Pure.
   import Bitwise
   alias Situ.Bridge.Protobuf.Schema
   alias Situ.Bridge.Ros.Number
 
   @times ["google.protobuf.Timestamp", "google.protobuf.Duration"]
 
-  @doc "The map as a message `name`. Error: a sentence."
+  @doc "Encodes a map as the message `name`. The error is a sentence."
   @spec encode(Schema.t(), String.t(), term()) :: {:ok, binary()} | {:error, String.t()}
   def encode(schema, name, map) do
     {:ok, IO.iodata_to_binary(put_message(map, name, schema))}
@@ -53,7 +53,7 @@ defmodule Situ.Bridge.Protobuf.Writer do
   defp put(%{repeated?: true}, other, _schema), do: throw({:not_writable, other})
 
   defp put(%{presence?: false, type: type} = field, value, schema) when is_atom(type) do
-    # Minus zero is written.
+    # Minus zero differs from the default, so it is encoded.
     if value === Schema.zero(type) and not negative_zero?(value),
       do: [],
       else: put_one(field, value, schema)
@@ -66,7 +66,7 @@ defmodule Situ.Bridge.Protobuf.Writer do
 
   defp negative_zero?(_), do: false
 
-  # A map's keys may be numbers or booleans, which are strings here.
+  # Map keys that are numbers or booleans in the schema are strings in Elixir.
   defp entry(key, value, name, schema) do
     [%{type: type} | _] = schema.messages[name].fields
     %{"key" => keyed(type, key), "value" => value}
@@ -138,7 +138,7 @@ defmodule Situ.Bridge.Protobuf.Writer do
   defp zigzag(n) when n < 0, do: -2 * n - 1
   defp zigzag(n), do: 2 * n
 
-  @doc "A number as Protobuf has lengths."
+  @doc "Encodes a number as a varint."
   @spec put_varint(non_neg_integer()) :: binary()
   def put_varint(n) when n < 128, do: <<n>>
   def put_varint(n), do: <<1::1, n::7, put_varint(n >>> 7)::binary>>

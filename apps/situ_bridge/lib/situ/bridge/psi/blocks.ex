@@ -1,18 +1,18 @@
 defmodule Situ.Bridge.Psi.Blocks do
   @moduledoc false
-  # The blocks of the files of one kind, in order, over all their extents: [length][payload, padded to a multiple of 4].
-  # A length of 0 is where nothing has been written yet, a negative one names the next extent.
+  # Folds over the blocks of all files (extents) of one kind, in order. A block is a length and a payload that is padded
+  # to a multiple of 4 bytes. A length of 0 marks the end of the written data; a negative length names the next extent.
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Psi.Files
 
   @window 1_048_576
 
-  @typedoc "`{extent, position of the payload, length, its first bytes}`"
+  @typedoc "`{extent, position of the payload, length, first bytes of the payload}`"
   @type block :: {non_neg_integer(), non_neg_integer(), pos_integer(), binary()}
 
   @doc """
-  Folds `fun` over the blocks; it gets each block with its first `head` bytes (fewer when the block is shorter).
-  Answers what was folded and what is wrong with the files, in sentences.
+  Folds `fun` over the blocks. `fun` gets each block with its first `head` bytes, or fewer if the block is shorter.
+  Returns the accumulator and sentences that describe the damage found in the files.
   """
   @spec reduce({Path.t(), String.t(), Files.kind()}, pos_integer(), acc, (block(), acc -> acc)) ::
           {acc, [String.t()]}
@@ -44,9 +44,9 @@ defmodule Situ.Bridge.Psi.Blocks do
 
   defp after_extent({:next, next, acc}, path, number, context, damage) do
     cond do
-      next <= number -> {acc, ["#{path} ends with a link to itself" | damage]}
+      next <= number -> {acc, ["#{path} links to itself or to an earlier file" | damage]}
       is_map_key(context.extents, next) -> extent(next, context, {acc, damage})
-      true -> go_on(number, context, acc, ["the file that follows #{path} is missing" | damage])
+      true -> go_on(number, context, acc, ["the file after #{path} is missing" | damage])
     end
   end
 
@@ -57,7 +57,7 @@ defmodule Situ.Bridge.Psi.Blocks do
     do:
       go_on(number, context, acc, ["#{path} is cut short in the message at byte #{at}" | damage])
 
-  # An extent without a link is the last one, unless something was lost at its end.
+  # An extent without a link is normally the last one. If more extents exist, the link was lost.
   defp go_on(number, context, acc, damage) do
     case context.extents |> Map.keys() |> Enum.filter(&(&1 > number)) do
       [] -> {acc, damage}
@@ -100,12 +100,12 @@ defmodule Situ.Bridge.Psi.Blocks do
         window(file, at + 4 + stored, context, acc)
 
       true ->
-        # The block's head lies beyond the window: a window that begins with the block has it.
+        # The head of the block reaches beyond this window, so the next window begins with the block.
         window(file, at, context, acc)
     end
   end
 
-  # Too few bytes for a length: the end of the file, or of the window.
+  # Fewer than 4 bytes remain, either at the end of the file or at the end of the window.
   defp blocks(rest, at, file, context, acc) do
     if at + 4 <= Map.fetch!(context.extents, context.extent),
       do: window(file, at, context, acc),

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Psi.Bytes do
   @moduledoc false
-  # The primitives of \psi's files: little-endian numbers, strings with a 32-bit length, and .NET times.
+  # Decodes the primitives in \psi's files: little-endian numbers, strings with a 32-bit length, and .NET times.
   import Bitwise
 
   # 1970-01-01 in ticks of 100 ns since the year 1.
@@ -9,8 +9,8 @@ defmodule Situ.Bridge.Psi.Bytes do
   @never 3_155_378_975_999_999_999
 
   @doc """
-  A .NET time as nanoseconds since 1970. The top two bits are the kind (UTC, local, unspecified) and not part of the
-  time.
+  Converts a .NET time to nanoseconds since 1970. The top two bits hold the kind (UTC, local, unspecified) and are
+  ignored.
 
       iex> Situ.Bridge.Psi.Bytes.time(0x48D924F4C841A000)
       1622548800000000000
@@ -21,7 +21,7 @@ defmodule Situ.Bridge.Psi.Bytes do
   def time(binary), do: ((binary &&& @kind_bits) - @epoch) * 100
 
   @doc """
-  Whether .NET has such a time: from the year 1 to 9999.
+  Returns whether .NET can represent the time, that is, whether it is between the years 1 and 9999.
 
       iex> Situ.Bridge.Psi.Bytes.time?(0x48D924F4C841A000)
       true
@@ -31,11 +31,11 @@ defmodule Situ.Bridge.Psi.Bytes do
   @spec time?(integer()) :: boolean()
   def time?(binary), do: (binary &&& @kind_bits) <= @never
 
-  @doc "As `time/1`; nil for the end of time, which stands for \"not yet\"."
+  @doc "Converts a .NET time like `time/1`, but returns nil for the maximum time, which means \"not yet\"."
   @spec time_or_nil(integer()) :: Situ.Time.t() | nil
   def time_or_nil(binary), do: if((binary &&& @kind_bits) == @never, do: nil, else: time(binary))
 
-  @doc "A string (nil is a string too) and what follows it."
+  @doc "Parses a string, which may be nil, and returns it with the remaining bytes."
   @spec string(binary()) :: {:ok, String.t() | nil, binary()} | :error
   def string(<<-1::little-signed-32, rest::binary>>), do: {:ok, nil, rest}
 

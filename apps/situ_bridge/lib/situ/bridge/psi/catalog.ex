@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Psi.Catalog do
   @moduledoc false
-  # The catalog: what streams and types there are. It is only appended to, and the last word on a stream counts.
+  # The catalog lists the streams and types of a store. It is append-only; the last entry of a stream counts.
   import Bitwise
   alias Situ.Bridge.Psi.{Blocks, Bytes, Schema}
 
@@ -8,7 +8,7 @@ defmodule Situ.Bridge.Psi.Catalog do
 
   defmodule Entry do
     @moduledoc false
-    # One stream as the catalog has it. `count`, `size` and the times are 0 or far away while it is not closed.
+    # One stream in the catalog. `count`, `size` and the times are not valid until the stream is closed.
     @enforce_keys [:name, :id, :type_name, :flags]
     defstruct [
       :name,
@@ -27,17 +27,17 @@ defmodule Situ.Bridge.Psi.Catalog do
 
     @type t :: %__MODULE__{}
 
-    @doc "Its messages lie in the files for large ones."
+    @doc "Returns whether the messages of the stream are in the files for large messages."
     def indexed?(%{flags: flags}), do: (flags &&& 4) != 0
     def closed?(%{flags: flags}), do: (flags &&& 2) != 0
   end
 
   @type t :: %__MODULE__{}
 
-  # An entry of the catalog has one name, a few numbers and perhaps a schema: a megabyte is a hundred times what is met.
+  # An entry has a name, a few numbers and perhaps a schema. A megabyte is a hundred times the largest entry seen.
   @most 1_048_576
 
-  @doc "The catalog of a store, and what is wrong with it in sentences."
+  @doc "Reads the catalog of a store. Returns it with sentences that describe the damage found."
   @spec read(Path.t(), String.t()) :: {t(), [String.t()]}
   def read(folder, name) do
     Blocks.reduce({folder, name, :catalog}, @most, %__MODULE__{}, fn {_, _, _, bytes}, catalog ->
@@ -45,7 +45,7 @@ defmodule Situ.Bridge.Psi.Catalog do
     end)
   end
 
-  @doc "The names of the types that the streams met beyond those they declare, by their numbers."
+  @doc "Returns the names of the types that streams used in addition to their declared types, by type number."
   @spec runtime_types(t()) :: %{integer() => String.t()}
   def runtime_types(catalog),
     do:
@@ -53,7 +53,7 @@ defmodule Situ.Bridge.Psi.Catalog do
         Map.merge(all, entry.runtime_types)
       end)
 
-  @doc "The catalog with one more entry. Entries that make no sense change nothing."
+  @doc "Adds an entry to the catalog. Invalid entries are ignored."
   @spec add(t(), binary()) :: t()
   def add(catalog, bytes) do
     with {:ok, header, rest} <- header(bytes) do
@@ -124,7 +124,7 @@ defmodule Situ.Bridge.Psi.Catalog do
     end
   end
 
-  # Before version 2 there were averages instead of sums, of bytes and of microseconds.
+  # Before version 2, the catalog stored averages (of bytes and microseconds) instead of sums.
   defp statistics(
          _old,
          entry,

@@ -1,10 +1,11 @@
 defmodule Situ.Bridge.Psi.Decoder do
   @moduledoc false
-  # A message's bytes as a term, by the plan of its type (`Situ.Bridge.Psi.Types`).
+  # Decodes the bytes of a message to a term, following the plan of its type (`Situ.Bridge.Psi.Types`).
   #
-  # Objects refer to objects of the same message. One that was finished before is repeated: terms share it. One that
-  # is met inside of itself (a cycle), or one that holds such a reference, is `%{"$ref" => n}` and the object meant
-  # has the key "$id" => n (a list or other value is then `%{"$id" => n, "$value" => value}`).
+  # Objects refer to other objects of the same message. A reference to a finished object is replaced by that object;
+  # the terms share memory. A reference from inside the object itself (a cycle), or to an object that contains such a
+  # reference, becomes `%{"$ref" => n}`. The referenced object then has the key "$id" => n; a list or another value
+  # that is not a map becomes `%{"$id" => n, "$value" => value}`.
   import Situ.Bits, only: [known: 1]
   import Bitwise
   alias Situ.Bridge.Psi.{Bytes, Layout, Shapes, Types}
@@ -14,7 +15,8 @@ defmodule Situ.Bridge.Psi.Decoder do
   @typed 0xC000_0000
   @low_bits 0x3FFF_FFFF
 
-  # A few bytes can refer to large objects, which refer to large objects ...: copied out, they would fill any memory.
+  # Limits shared objects: a few bytes can refer to large objects that refer to large objects in turn. Copied, as
+  # encoders do, they would exhaust the memory.
   @most_shared 1_000_000
 
   # CompressionMethod.None and DepthCompressionMethod.None
@@ -31,8 +33,8 @@ defmodule Situ.Bridge.Psi.Decoder do
   ]
 
   @doc """
-  The value, or why there is none. No more than three bytes of padding may follow it, with `rest: :any` anything
-  (metadata are kept in a buffer that may be longer).
+  Decodes a value. Returns an error with the reason if that fails. At most three bytes of padding may follow the
+  value. With `rest: :any`, any number of bytes may follow it, since metadata may be in a buffer that is too long.
   """
   @spec decode(binary(), Types.handler(), Types.t(), keyword()) ::
           {:ok, term()} | {:error, String.t()}
@@ -60,26 +62,26 @@ defmodule Situ.Bridge.Psi.Decoder do
   defp most(bytes, opts), do: if(opts[:rest] == :any, do: byte_size(bytes), else: 3)
   defp left_over(bytes), do: {:error, "#{bytes} bytes are left over"}
 
-  @doc "A message of a stream of the type with this .NET name, as `decode/4`."
+  @doc "Decodes a message of a stream with this .NET type name. Returns the same as `decode/4`."
   @spec message(binary(), String.t(), Types.handler(), Types.t()) ::
           {:ok, term()} | {:error, String.t()}
   def message(bytes, type_name, handler, types) do
     with {:error, why} <- decode(bytes, handler, types) do
-      # Enums in plain structs have no schema: the width with which all bytes have a meaning is theirs.
+      # Enums in plain structs have no schema, so their width is unknown. The right width uses all the bytes.
       Enum.find_value(types.others, {:error, why}, fn types ->
         with {:error, _} <- decode(bytes, Types.handler(types, type_name), types), do: nil
       end)
     end
   end
 
-  # Which objects need a name is known at the end: with names they are read once more.
+  # The objects that need an id are known only after decoding, so the bytes are decoded a second time.
   defp named(bytes, handler, state, most, value) do
     if MapSet.size(state.known) == 0,
       do: {:ok, value, state},
       else: run(bytes, handler, state, most)
   end
 
-  # Reading goes deep into itself; what is wrong with the bytes is thrown out of there.
+  # Decoding is deeply recursive, so errors are thrown from the inner functions and caught here.
   defp run(bytes, handler, state, most) do
     {value, rest, state} = read(handler, bytes, state)
 
@@ -100,12 +102,13 @@ defmodule Situ.Bridge.Psi.Decoder do
       @reference -> reference(prefix &&& @low_bits, rest, state)
       @new when plan != nil -> object(resolve(plan, state), nil, rest, state)
       @typed -> typed(prefix &&& @low_bits, rest, state)
-      @new -> fail("an object of a type that no schema describes")
-      _ -> fail("bytes that are no reference where an object begins")
+      @new -> fail("an object has a type that no schema describes")
+      _ -> fail("an object begins with bytes that are not a reference")
     end
   end
 
-  defp read({:object, _plan}, _bytes, _state), do: fail("it ends where an object begins")
+  defp read({:object, _plan}, _bytes, _state),
+    do: fail("the data ends at the beginning of an object")
 
   defp resolve({:type, name}, state), do: Map.fetch!(state.types.by_name, name)
   defp resolve(plan, _state), do: plan
@@ -113,7 +116,7 @@ defmodule Situ.Bridge.Psi.Decoder do
   defp typed(id, bytes, state) do
     case state.types.by_id do
       %{^id => plan} -> object(plan, state.types.names[id], bytes, state)
-      _ -> fail("an object of the type number #{id}, which no schema describes")
+      _ -> fail("an object has the type number #{id}, which no schema describes")
     end
   end
 
@@ -127,7 +130,7 @@ defmodule Situ.Bridge.Psi.Decoder do
         {%{"$ref" => id}, rest, %{state | needed: needed, refs: state.refs + 1}}
 
       _ ->
-        fail("a reference to an object that has not come yet")
+        fail("a reference points to an object that does not exist yet")
     end
   end
 
@@ -137,12 +140,12 @@ defmodule Situ.Bridge.Psi.Decoder do
     state = closed(plan, id, refs, state)
     value = value |> with_type(type, plan) |> with_id(id, state)
 
-    # An object that holds references by number cannot be repeated elsewhere.
+    # An object that contains references by number cannot be repeated in another place.
     done = if state.refs == refs, do: {value, state.nodes - nodes}, else: :open
     {value, rest, %{state | objects: Map.put(state.objects, id, done)}}
   end
 
-  # The nodes of a linked list refer to one another and to the list: of that nothing is left in its items.
+  # The nodes of a linked list refer to each other and to the list. The list's items contain none of these references.
   defp closed({:fields, _, :linked}, id, refs, state) do
     needed = state.needed |> Enum.filter(&(&1 < id)) |> MapSet.new()
     %{state | refs: refs, needed: needed}
@@ -150,7 +153,8 @@ defmodule Situ.Bridge.Psi.Decoder do
 
   defp closed(_plan, _id, _refs, state), do: state
 
-  # Which of several types an object has is told where the member does not. Dictionaries have keys of their own.
+  # Adds the type of an object if the member's type does not determine it. Dictionaries are skipped, because their keys
+  # are data.
   defp with_type(%{__struct__: _} = struct, _type, _plan), do: struct
   defp with_type(value, type, {:fields, _, :map}) when is_binary(type), do: put_type(value, type)
   defp with_type(value, type, {:raw, _}) when is_binary(type), do: put_type(value, type)
@@ -172,14 +176,14 @@ defmodule Situ.Bridge.Psi.Decoder do
 
     case bytes do
       <<value::binary-known(size), rest::binary>> -> {Layout.read(layout, value), rest, state}
-      _ -> fail("it ends within a value")
+      _ -> fail("the data ends within a value")
     end
   end
 
   defp content(:string, bytes, state) do
     case Bytes.string(bytes) do
       {:ok, text, rest} -> {text, rest, state}
-      :error -> fail("it ends within a string")
+      :error -> fail("the data ends within a string")
     end
   end
 
@@ -195,11 +199,11 @@ defmodule Situ.Bridge.Psi.Decoder do
         {Layout.read_all(layout, values), rest, %{state | nodes: state.nodes + n}}
 
       _ ->
-        fail("it ends within an array")
+        fail("the data ends within an array")
     end
   end
 
-  # Each element takes a byte at least: a count beyond that is a lie.
+  # Each element takes at least one byte, so a count larger than the number of bytes is invalid.
   defp content(:strings, <<n::little-signed-32, rest::binary>>, state)
        when n >= 0 and n <= byte_size(rest) do
     {values, {rest, state}} = times(n, {rest, state}, &content(:string, &1, &2))
@@ -221,9 +225,11 @@ defmodule Situ.Bridge.Psi.Decoder do
   end
 
   defp content({:fields, members, shape}, bytes, state), do: fields(members, shape, bytes, state)
-  defp content(_plan, _bytes, _state), do: fail("it ends within an array, or its length is wrong")
 
-  # The compressed picture stands for the first five members; depth images go on behind it.
+  defp content(_plan, _bytes, _state),
+    do: fail("the data ends within an array, or the length of an array is invalid")
+
+  # The compressed image replaces the first five members; depth images have more members after it.
   defp compressed(shape, members, bytes, state) do
     kind = if shape == :image, do: "EncodedImage", else: "EncodedDepthImage"
     name = "Microsoft.Psi.Shared`1[[Microsoft.Psi.Imaging.#{kind}]]"
@@ -235,7 +241,7 @@ defmodule Situ.Bridge.Psi.Decoder do
         {picture, rest, state}
 
       _ ->
-        fail("it is compressed in a way that no schema describes")
+        fail("an image is compressed in a way that no schema describes")
     end
   end
 

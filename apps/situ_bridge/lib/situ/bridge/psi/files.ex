@@ -1,13 +1,14 @@
 defmodule Situ.Bridge.Psi.Files do
   @moduledoc false
-  # Where \psi's stores lie: NAME.KIND_NNNNNN.psi in a folder that is often called NAME.VVVV, one extent a file.
+  # Finds the files of \psi's stores. They are called NAME.KIND_NNNNNN.psi, one for each extent, usually in a folder
+  # called NAME.VVVV.
 
   @catalog ".Catalog_000000.psi"
 
   @type kind :: :catalog | :data | :large
   @kinds %{catalog: "Catalog", data: "Data", large: "LargeData"}
 
-  @doc "The names of the stores in a folder."
+  @doc "Returns the names of the stores in a folder."
   @spec names(Path.t()) :: [String.t()]
   def names(folder) do
     case File.ls(folder) do
@@ -22,8 +23,8 @@ defmodule Situ.Bridge.Psi.Files do
   end
 
   @doc """
-  The store that `path` means, as its folder and name: a folder with one store in it, `folder/NAME`, or the newest of
-  `folder/NAME.VVVV`.
+  Finds the store at `path` and returns its folder and name. `path` is a folder that contains one store, or
+  `folder/NAME` for a store in a folder or for the newest version, `folder/NAME.VVVV`.
   """
   @spec find(Path.t()) :: {:ok, Path.t(), String.t()} | :error
   def find(path) do
@@ -61,14 +62,14 @@ defmodule Situ.Bridge.Psi.Files do
     end
   end
 
-  @doc "The file of an extent."
+  @doc "Returns the path of the file that contains an extent."
   @spec path(Path.t(), String.t(), kind(), non_neg_integer()) :: Path.t()
   def path(folder, name, kind, extent) do
     number = extent |> Integer.to_string() |> String.pad_leading(6, "0")
     Path.join(folder, "#{name}.#{@kinds[kind]}_#{number}.psi")
   end
 
-  @doc "The numbers of the extents that are there, with their sizes."
+  @doc "Returns the sizes of the existing extents in bytes, by extent number."
   @spec extents(Path.t(), String.t(), kind()) :: %{non_neg_integer() => non_neg_integer()}
   def extents(folder, name, kind) do
     pattern = ~r/\A#{Regex.escape(name)}\.#{@kinds[kind]}_(\d{6})\.psi\z/

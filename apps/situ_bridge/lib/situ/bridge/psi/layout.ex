@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Psi.Layout do
   @moduledoc false
-  # Plain values as they lie in .NET's memory: primitives, and structs of them with the gaps that alignment leaves.
+  # Reads plain values in the memory layout of .NET: primitives, and structs of primitives with alignment gaps.
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Psi.Bytes
 
@@ -50,16 +50,16 @@ defmodule Situ.Bridge.Psi.Layout do
     "System.Guid" => :guid
   }
 
-  @doc "The layout of a primitive by its .NET name, or nil."
+  @doc "Returns the layout of a primitive by its .NET name, or nil."
   @spec primitive(String.t()) :: atom() | nil
   def primitive(name), do: @names[name]
 
-  @doc "Whether .NET calls it a primitive: times, decimals and Guids are structs there."
+  @doc "Returns whether the type is a primitive in .NET, where times, decimals and Guids are structs."
   @spec clr_primitive?(String.t()) :: boolean()
   def clr_primitive?(name),
     do: primitive(name) not in [nil, :datetime, :timespan, :decimal, :guid]
 
-  @doc "Bytes that a value takes, with the gap behind it in an array."
+  @doc "Returns the size of a value in bytes, including the alignment gap after it in an array."
   @spec size(t()) :: pos_integer()
   def size({_struct, size, _align, _fields}), do: size
   def size(primitive), do: elem(Map.fetch!(@primitives, primitive), 0)
@@ -68,7 +68,7 @@ defmodule Situ.Bridge.Psi.Layout do
   defp alignment(primitive), do: elem(Map.fetch!(@primitives, primitive), 1)
 
   @doc """
-  The layout of a struct: fields in order, each at a multiple of its alignment.
+  Returns the layout of a struct. Its fields are in order, each at a multiple of its alignment.
 
       iex> Situ.Bridge.Psi.Layout.struct([{"hasValue", :bool}, {"value", :float64}])
       {:struct, 16, 8, [{"hasValue", 0, :bool}, {"value", 8, :float64}]}
@@ -86,7 +86,7 @@ defmodule Situ.Bridge.Psi.Layout do
   end
 
   @doc """
-  The layout of a tuple: the runtime orders its items by size; the value has them in theirs.
+  Returns the layout of a tuple. The runtime orders its items by size; the decoded tuple has them in their own order.
 
       iex> Situ.Bridge.Psi.Layout.tuple([{"Item1", :bool}, {"Item2", :float64}])
       {:tuple, 16, 8, [{"Item1", 8, :bool}, {"Item2", 0, :float64}]}
@@ -102,8 +102,8 @@ defmodule Situ.Bridge.Psi.Layout do
   defp align(at, to), do: div(at + to - 1, to) * to
 
   @doc """
-  The value in `bytes`, which are as many as `size/1` says. A struct of the one field `value__` is an enum: an
-  integer.
+  Reads the value in `bytes`, whose size must be `size/1`. A struct with the single field `value__` is an enum and
+  returns an integer.
   """
   @spec read(t(), binary()) :: term()
   def read({:struct, _, _, [{"value__", 0, layout}]}, bytes), do: read(layout, bytes)
@@ -151,7 +151,7 @@ defmodule Situ.Bridge.Psi.Layout do
     |> Enum.map_join("-", &Base.encode16(&1, case: :lower))
   end
 
-  # Sign and number of decimals, then 96 bits.
+  # The sign and the number of decimals come first, followed by a 96-bit integer.
   def read(:decimal, <<_::16, scale, sign, high::little-32, low::little-64>>) do
     digits = Integer.to_string(Bitwise.bsl(high, 64) + low)
     minus = if Bitwise.band(sign, 0x80) != 0, do: "-", else: ""
@@ -168,7 +168,7 @@ defmodule Situ.Bridge.Psi.Layout do
 
   defp special32(<<bits::little-32>>), do: special(bits, 31, 23)
 
-  # What IEEE 754 has and Elixir's floats have not.
+  # IEEE 754 has these values, but Elixir's floats do not.
   defp special(bits, sign, mantissa) do
     cond do
       Bitwise.band(bits, Bitwise.bsl(1, mantissa) - 1) != 0 -> :nan
@@ -177,7 +177,7 @@ defmodule Situ.Bridge.Psi.Layout do
     end
   end
 
-  @doc "A list of `n` values in `bytes`."
+  @doc "Reads all values in `bytes` and returns them as a list."
   @spec read_all(t(), binary()) :: [term()]
   def read_all(:float64, bytes),
     do: floats(for(<<x::little-float-64 <- bytes>>, do: x), :float64, bytes)
@@ -190,7 +190,7 @@ defmodule Situ.Bridge.Psi.Layout do
   def read_all(:uint16, bytes), do: for(<<n::little-16 <- bytes>>, do: n)
   def read_all(layout, bytes), do: each(layout, size(layout), bytes)
 
-  # A comprehension leaves out what is no number.
+  # The comprehension skips NaN and infinities. If it skipped any, every value is read separately.
   defp floats(all, layout, bytes) do
     size = size(layout)
     if length(all) * size == byte_size(bytes), do: all, else: each(layout, size, bytes)

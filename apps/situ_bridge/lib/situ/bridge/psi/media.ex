@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Psi.Media do
   @moduledoc false
-  # \psi's pictures and sound as ours. Rows and samples lie in memory alike, so that nothing is converted.
+  # Converts \psi's images and audio to Situ's types. Both have the same memory layout, so no pixels or samples are
+  # converted.
 
   @formats %{
     1 => :gray8,
@@ -10,7 +11,7 @@ defmodule Situ.Bridge.Psi.Media do
     5 => :bgra32,
     6 => :rgba64,
     7 => :rgb24,
-    # Before version 3 of their schema pictures had the numbers of System.Drawing.
+    # Before version 3 of their schema, images used the numbers of System.Drawing.
     198_659 => :gray8,
     1_052_676 => :gray16,
     137_224 => :bgr24,
@@ -39,11 +40,11 @@ defmodule Situ.Bridge.Psi.Media do
     "Microsoft.Psi.Audio.AudioBuffer" => Situ.AudioBuffer
   }
 
-  @doc "Our type for one of \\psi's, or nil."
+  @doc "Returns the Situ type of a \\psi type, or nil."
   @spec type(String.t()) :: Situ.Type.t() | nil
   def type(name), do: @types[name]
 
-  @doc "The value of one of the shapes, out of its members; the members where they make no sense."
+  @doc "Builds the value of a shape from its members. Returns the members if they are not valid."
   @spec value(atom(), map()) :: term()
   def value(shape, fields) do
     case make(shape, fields) do
@@ -58,7 +59,7 @@ defmodule Situ.Bridge.Psi.Media do
   defp make(:depth_image, %{"image" => data} = fields) when is_binary(data),
     do: (size(fields) ++ depth(fields) ++ [data: data]) |> Situ.DepthImage.new()
 
-  # Rows packed by gzip are no picture file: they are unpacked.
+  # Rows that are compressed with gzip are not an image file, so they are unpacked.
   defp make(:encoded_image, %{
          "stream" => <<0x1F, 0x8B, _::binary>> = packed,
          "Width" => w,

@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.Psi.Scan do
   @moduledoc false
-  # One pass over a store's data: where each message of each stream lies. 28 bytes a message are kept, packed.
+  # Scans the data of a store once and records the position of every message in every stream: 28 packed bytes each.
   alias Situ.Bridge.Psi.{Blocks, Bytes, Files}
   alias Situ.Bridge.Psi.Catalog.Entry
 
   defmodule Track do
     @moduledoc false
-    # One stream's messages in order of time: `places` holds 28 bytes for each.
+    # The messages of one stream in order of time. `places` holds 28 bytes for each message.
     defstruct places: "",
               count: 0,
               size: 0,
@@ -20,7 +20,7 @@ defmodule Situ.Bridge.Psi.Scan do
 
     @place 28
 
-    @doc "The place of the message with this ordinal."
+    @doc "Returns the position of the message with this ordinal."
     def place(%{places: places}, ordinal) do
       <<large::1, extent::31, at::64, length::32, time::signed-96>> =
         binary_part(places, ordinal * @place, @place)
@@ -34,7 +34,7 @@ defmodule Situ.Bridge.Psi.Scan do
       }
     end
 
-    @doc "The ordinal of the first message at or after `time`."
+    @doc "Returns the ordinal of the first message at or after `time`."
     def seek(track, time), do: seek(track, time, 0, track.count)
 
     defp seek(_track, _time, low, high) when low >= high, do: low
@@ -55,7 +55,7 @@ defmodule Situ.Bridge.Psi.Scan do
   # The sequence number of the message that closes a stream; it has no data.
   @closing 0x7FFF_FFFF
 
-  @doc "The tracks of all streams by their ids, and what is wrong in sentences."
+  @doc "Scans all streams. Returns their tracks by stream id, and sentences that describe the damage found."
   @spec run(Path.t(), String.t(), %{integer() => Entry.t()}) ::
           {%{integer() => Track.t()}, [String.t()]}
   def run(folder, name, entries) do
@@ -77,9 +77,10 @@ defmodule Situ.Bridge.Psi.Scan do
 
   defp notes(lost, behind, timeless) do
     for {n, sentence} <- [
-          {timeless, "messages have a time that cannot be and are left out"},
-          {lost, "messages have lost their payload in the files for large ones"},
-          {behind, "messages have the time of another one of their stream and are left out"}
+          {timeless, "messages have an invalid time and are left out"},
+          {lost, "messages have lost their payload in the files for large messages"},
+          {behind,
+           "messages have the same time as another message of their stream and are left out"}
         ],
         n > 0,
         do: "#{n} #{sentence}"
@@ -103,8 +104,8 @@ defmodule Situ.Bridge.Psi.Scan do
 
   defp message(_block, acc), do: acc
 
-  # A message in the files for large messages has its place instead of its data: an extent (the smallest number added)
-  # and a position.
+  # A message of an indexed stream has a position in the files for large messages instead of data: an extent (as an
+  # offset from the smallest integer) and a byte position.
   defp large(id, times, <<extent::little-signed-32, at::little-signed-32, _::binary>>, acc)
        when extent < 0 and at >= 0 do
     place = {extent + 0x8000_0000, at}
@@ -117,8 +118,8 @@ defmodule Situ.Bridge.Psi.Scan do
 
   defp put(acc, id, found), do: %{acc | found: Map.update(acc.found, id, [found], &[found | &1])}
 
-  # Where the large messages that are whole lie: `{extent, position of the block} => {extent, position of the payload,
-  # length}`.
+  # Finds the complete large messages. The result maps `{extent, position of the block}` to
+  # `{extent, position of the payload, length}`.
   defp whole_large(folder, name, sizes, places) do
     context = %{folder: folder, name: name, sizes: sizes}
 
@@ -140,7 +141,7 @@ defmodule Situ.Bridge.Psi.Scan do
   defp block(context, extent, at, length) when length >= 24,
     do: if(at + 4 + length <= context.sizes[extent], do: {extent, at + 4, length})
 
-  # The message had no room at the end of its extent: it begins the next one.
+  # The message did not fit at the end of this extent, so it is at the beginning of the next extent.
   defp block(context, extent, _at, next) when next < 0 and -next > extent do
     with [{0, length}] when length >= 24 <- lengths(context, -next, [0]),
          do: block(context, -next, 0, length),
@@ -164,8 +165,7 @@ defmodule Situ.Bridge.Psi.Scan do
     end
   end
 
-  # Messages come in the order in which they were written; within a stream that is the order of time unless something
-  # went wrong.
+  # Messages are found in the order in which they were written. Within a stream, this is normally the order of time.
   defp track(found, whole) do
     messages =
       found

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Psi.Schema do
   @moduledoc false
-  # One type as the catalog describes it: its members in the order in which they are written, and who wrote it.
+  # Describes one type of the catalog: its members in the order in which they are written, and its serializer.
   import Bitwise
   alias Situ.Bridge.Psi.{Bytes, TypeName}
 
@@ -19,7 +19,7 @@ defmodule Situ.Bridge.Psi.Schema do
 
   @most_members 10_000
 
-  @doc "The schema behind an entry's header."
+  @doc "Parses the schema that follows the header of an entry."
   @spec parse(map(), binary()) :: {:ok, t()} | :error
   def parse(header, <<n::little-signed-32, rest::binary>>) when n in 0..@most_members do
     with {:ok, members, rest} <- members(n, rest, []) do
@@ -49,7 +49,7 @@ defmodule Situ.Bridge.Psi.Schema do
     end
   end
 
-  # The compiler's name for what stands behind a property.
+  # The compiler wraps the names of automatic properties as `<Name>k__BackingField`.
   defp field("<" <> rest = name) do
     case String.split(rest, ">") do
       [property, "k__BackingField"] -> property

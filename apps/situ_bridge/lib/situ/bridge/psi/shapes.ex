@@ -1,7 +1,8 @@
 defmodule Situ.Bridge.Psi.Shapes do
   @moduledoc false
-  # Values that the members of well-known types make together: of a `List` its items, not `_items` and `_size`.
-  # Members have other names in .NET Framework (`m_slots`) than in .NET (`_entries`): they are told without.
+  # Builds the values of well-known types from their members, for example the items of a `List` instead of `_items`
+  # and `_size`. The prefixes of member names are ignored, because they differ between .NET Framework (`m_slots`) and
+  # .NET (`_entries`).
   alias Situ.Bridge.Psi.Media
 
   @generic "System.Collections.Generic."
@@ -37,10 +38,10 @@ defmodule Situ.Bridge.Psi.Shapes do
                     ~w(IEnumerable`1 IList`1 ICollection`1 ISet`1 IReadOnlyList`1 IReadOnlyCollection`1),
                   do: @generic <> name
 
-  # A tree or chain deeper than this is no collection that anybody wrote.
+  # Limits the depth of trees and chains. Real collections are not this deep.
   @deepest 10_000
 
-  @doc "The shape of a type by its name and the names of its members."
+  @doc "Returns the shape of a type, given its name and the names of its members."
   @spec of(String.t(), [String.t()]) :: atom()
   def of("System.Tuple`" <> _, _members), do: :tuple
   def of("System.ValueTuple`" <> _, _members), do: :tuple
@@ -52,18 +53,18 @@ defmodule Situ.Bridge.Psi.Shapes do
     end
   end
 
-  @doc "Whether values of the type with this name are lists."
+  @doc "Returns whether values of the type with this name are lists."
   @spec list?(String.t()) :: boolean()
   def list?(name), do: @shapes[name] in @lists or name in @interfaces
 
-  @doc "Whether values of the type with this name are maps of keys of their own."
+  @doc "Returns whether values of the type with this name are dictionaries."
   @spec map?(String.t()) :: boolean()
   def map?(name),
     do:
       @shapes[name] in @maps or
         name in [@generic <> "IDictionary`2", @generic <> "IReadOnlyDictionary`2"]
 
-  @doc "The value of a shape, out of its members; the members where they make no sense together."
+  @doc "Builds the value of a shape from its members. Returns the members as a map if they are not valid."
   @spec value(atom(), [{String.t(), term()}]) :: term()
   def value(:map, members), do: Map.new(members)
   def value(:tuple, members), do: members |> Enum.map(&elem(&1, 1)) |> List.to_tuple()
@@ -87,7 +88,7 @@ defmodule Situ.Bridge.Psi.Shapes do
 
   defp media(members, shape), do: Media.value(shape, members)
 
-  # "_items" and "m_items" are "items".
+  # "_items" and "m_items" become "items".
   defp plain("m_" <> name), do: name
   defp plain("_" <> name), do: name
   defp plain(name), do: name
@@ -117,7 +118,7 @@ defmodule Situ.Bridge.Psi.Shapes do
        when is_list(slots) and is_integer(count),
        do: {:ok, slots |> Enum.take(max(count, 0)) |> items()}
 
-  # A set in which nothing was ever put has no table.
+  # A set that was never filled has no table.
   defp collection(:set, %{"count" => 0}), do: {:ok, []}
 
   defp collection(:linked, %{"head" => nil}), do: {:ok, []}
@@ -151,7 +152,7 @@ defmodule Situ.Bridge.Psi.Shapes do
 
   defp first(_items, _size), do: :error
 
-  # Places of a hash table that hold nothing have a negative hash (.NET Framework) or link (.NET).
+  # Empty slots of a hash table have a negative hash (.NET Framework) or a negative link (.NET).
   defp used?(%{"next" => next, "key" => key} = entry),
     do: Map.get(entry, "hashCode", 0) >= 0 and next >= -1 and key != nil
 
@@ -161,7 +162,7 @@ defmodule Situ.Bridge.Psi.Shapes do
     for entry <- entries, is_map(entry), held?(entry), do: named(entry, "value")
   end
 
-  # In .NET the hash may be negative, and a link below -1 tells of a free place.
+  # In .NET the hash may be negative, and a link below -1 marks an empty slot.
   defp held?(%{"Next" => next}), do: next >= -1
   defp held?(%{"hashCode" => hash}), do: hash >= 0
   defp held?(_), do: false
@@ -173,7 +174,7 @@ defmodule Situ.Bridge.Psi.Shapes do
     Map.get(map, key)
   end
 
-  # The last node refers to the first.
+  # The last node refers to the first one, which ends the list.
   defp linked(%{"item" => item, "next" => next}, found), do: linked(next, [item | found])
   defp linked(_reference, found), do: Enum.reverse(found)
 
@@ -191,7 +192,7 @@ defmodule Situ.Bridge.Psi.Shapes do
       else: :error
   end
 
-  # A bucket is a node, or a struct with nothing but a node; nodes are chained.
+  # A bucket is a node, or a struct whose only member is a node. Each node links to the next one.
   defp chain(%{"_node" => node}, depth), do: chain(node, depth)
 
   defp chain(%{} = node, depth) when depth < @deepest do

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Psi.Structs do
   @moduledoc false
-  # Value types by name, for stores whose schemas do not tell them from classes, or that have no schema of them.
+  # Lists value types by name, for stores whose schemas are missing or do not distinguish structs from classes.
 
   @generic ~w(System.ValueTuple` System.Nullable` System.Collections.Generic.KeyValuePair` Microsoft.Psi.Message`)
 
@@ -26,11 +26,11 @@ defmodule Situ.Bridge.Psi.Structs do
   @enums for name <- ~w(CompressionMethod DepthCompressionMethod PixelFormat DepthValueSemantics),
              do: "Microsoft.Psi.Imaging." <> name
 
-  @doc "Whether the type with this name, without assemblies, is a struct."
+  @doc "Returns whether the type with this name (without assemblies) is a struct."
   @spec known?(String.t()) :: boolean()
   def known?(name), do: String.starts_with?(name, @generic) or MapSet.member?(@structs, name)
 
-  @doc "Enums of 32 bits that pictures are written with."
+  @doc "Returns the names of the 32-bit enums that images use."
   @spec enums() :: [String.t()]
   def enums, do: @enums
 end

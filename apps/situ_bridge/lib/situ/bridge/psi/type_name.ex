@@ -1,8 +1,8 @@
 defmodule Situ.Bridge.Psi.TypeName do
   @moduledoc false
-  # .NET's names of types without the assemblies they came from, which differ between frameworks and versions.
+  # Parses .NET type names and removes the assemblies, which differ between frameworks and versions.
 
-  # `arrays` are the suffixes, as in `System.Int32[][]`.
+  # `arrays` is the number of array suffixes, for example 2 in `System.Int32[][]`.
   defstruct [:name, args: [], arrays: 0]
 
   @type t :: %__MODULE__{name: String.t(), args: [t()], arrays: non_neg_integer()}
@@ -10,7 +10,7 @@ defmodule Situ.Bridge.Psi.TypeName do
   @deepest 32
 
   @doc """
-  The parts of a name.
+  Parses a name into its parts.
 
       iex> alias Situ.Bridge.Psi.TypeName
       iex> of = "[System.Int32, mscorlib, Version=4.0.0.0]"
@@ -27,7 +27,7 @@ defmodule Situ.Bridge.Psi.TypeName do
   end
 
   @doc """
-  The name without assemblies.
+  Returns the name without assemblies.
 
       iex> Situ.Bridge.Psi.TypeName.short("System.Nullable`1[[System.Double, mscorlib]], mscorlib")
       "System.Nullable`1[[System.Double]]"
@@ -42,7 +42,7 @@ defmodule Situ.Bridge.Psi.TypeName do
     name <> arguments <> String.duplicate("[]", arrays)
   end
 
-  @doc "The type of an array's elements."
+  @doc "Returns the type of an array's elements."
   @spec element(t()) :: t()
   def element(%{arrays: n} = type) when n > 0, do: %{type | arrays: n - 1}
 
@@ -79,7 +79,7 @@ defmodule Situ.Bridge.Psi.TypeName do
   defp arrays("[]" <> rest, n), do: arrays(rest, n + 1)
   defp arrays(rest, n), do: {n, rest}
 
-  # An assembly goes on to the bracket that closes the argument.
+  # An assembly name extends to the bracket that closes the type argument.
   defp assembly("," <> _ = text) do
     case :binary.match(text, "]") do
       {at, _} -> binary_part(text, at, byte_size(text) - at)

@@ -1,12 +1,13 @@
 defmodule Situ.Bridge.Psi.Types do
   @moduledoc false
-  # How each type of a store is written, worked out of its schemas once. A plan is what follows an object's prefix, or
-  # the whole of a value type:
+  # Derives from the schemas of a store how each type is serialized. A plan describes the bytes after an object's
+  # prefix, or all bytes of a value type:
   #
   # {:raw, layout} | {:raw_array, layout} | {:array, handler} | :string | :strings | :bytes | {:fields, [{name,
   # handler}], shape}
   #
-  # and a handler says how a member refers to it: {:value, plan or name} without, {:object, plan or name} with a prefix.
+  # A handler describes how a member contains its type: {:value, plan or name} without a prefix, {:object, plan or name}
+  # with a prefix.
   alias Situ.Bridge.Psi.{Layout, Schema, Shapes, Structs, TypeName}
 
   defstruct by_name: %{}, by_id: %{}, names: %{}, schemas: %{}, enum: :int32, others: []
@@ -18,9 +19,9 @@ defmodule Situ.Bridge.Psi.Types do
   @deepest 32
 
   @doc """
-  The plans of all types. `runtime` are the names of types by their numbers that streams tell (the first version of
-  \\psi had no schemas). An enum that no schema tells of is taken for one of 32 bits; `others` are the plans with
-  another width, where that makes a difference.
+  Builds the plans of all types. `runtime` maps type numbers to the type names that streams declare; the first version
+  of \\psi had no schemas. Enums without a schema are assumed to have 32 bits. `others` has the plans for other enum
+  widths, if they differ.
   """
   @spec new([Schema.t()], %{integer() => String.t()}) :: t()
   def new(schemas, runtime \\ %{}) do
@@ -52,7 +53,7 @@ defmodule Situ.Bridge.Psi.Types do
     %{types | by_name: plans, by_id: by_id}
   end
 
-  @doc "How a stream or member of the type with this .NET name is written."
+  @doc "Returns the handler of a stream or member with this .NET type name."
   @spec handler(t(), String.t()) :: handler()
   def handler(types, name), do: handle(types, TypeName.parse(name))
 
@@ -68,12 +69,12 @@ defmodule Situ.Bridge.Psi.Types do
     end
   end
 
-  # Types that no schema tells of: arrays, nullables and buffers explain themselves, anything else can only be an
-  # object of a type that its prefix tells.
+  # Handles types without a schema. Arrays, nullables and buffers need none. Any other type can only be an object, and
+  # its prefix identifies the type.
   defp unlisted(types, %{arrays: n} = parsed) when n > 0,
     do: {:object, array(types, TypeName.element(parsed))}
 
-  # Only what .NET calls primitive is copied with its flag as one piece of memory.
+  # Only .NET primitives are copied together with their `hasValue` flag as one block of memory.
   defp unlisted(types, %{name: "System.Nullable`1", args: [inner]}) do
     if plain?(types, TypeName.short(inner)) do
       {:value, {:raw, nullable_layout(types, inner)}}
@@ -107,7 +108,7 @@ defmodule Situ.Bridge.Psi.Types do
     end
   end
 
-  # Schemas of old stores do not tell classes from structs: what is written as plain memory is a struct.
+  # Schemas of old stores do not distinguish classes from structs. A type that is written as plain memory is a struct.
   defp reference(_short, %{serializer: "SimpleSerializer"}), do: :value
 
   defp reference(short, schema) do
@@ -152,7 +153,7 @@ defmodule Situ.Bridge.Psi.Types do
     end
   end
 
-  # Nothing tells who wrote it: the rule is that a struct of nothing but primitives is copied as memory.
+  # Without a serializer in the schema, a struct that contains only primitives is copied as memory.
   defp unsigned(types, name, parsed, schema) do
     if reference(name, schema) == :value and schema.members != [] and
          Enum.all?(schema.members, fn {_, type} -> plain?(types, TypeName.short(type)) end),
@@ -169,7 +170,7 @@ defmodule Situ.Bridge.Psi.Types do
     end
   end
 
-  # Before the catalog told who wrote a type.
+  # Handles catalogs from before serializers were recorded.
   defp by_name(_types, %{name: "System.String", arrays: 0}, _schema), do: :string
 
   defp by_name(types, %{arrays: n} = parsed, _schema) when n > 0,
@@ -190,7 +191,7 @@ defmodule Situ.Bridge.Psi.Types do
      shape}
   end
 
-  # The schema of depth images calls the scale a number; both of these may be missing.
+  # The schema of depth images declares the scale as a number, but both of these members are nullable.
   defp member(_types, :depth_image, "depthValueSemantics", _type),
     do: {:value, {:raw, Layout.struct([{"hasValue", :bool}, {"value", :int32}])}}
 
@@ -226,7 +227,7 @@ defmodule Situ.Bridge.Psi.Types do
        do: nullable_layout(types, inner, depth + 1)
 
   defp unlisted_layout(_types, %{name: "Microsoft.Psi." <> _}, _depth), do: :int32
-  # It can only be an enum.
+  # Any other type without a schema must be an enum.
   defp unlisted_layout(types, _parsed, _depth), do: types.enum
 
   defp nullable_layout(types, inner, depth \\ 0) do
@@ -234,7 +235,7 @@ defmodule Situ.Bridge.Psi.Types do
     Layout.struct([{"hasValue", :bool}, {"value", value}])
   end
 
-  @doc "The `Situ.Type` of what comes of it. Objects may be nil besides: .NET does not say where."
+  @doc "Returns the `Situ.Type` of decoded values. Any object may also be nil; .NET does not declare nullability."
   @spec situ(t(), String.t()) :: Situ.Type.t()
   def situ(types, name), do: situ(types, TypeName.parse(name), 0)
 

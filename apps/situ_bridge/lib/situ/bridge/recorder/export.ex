@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Recorder.Export do
   @moduledoc false
-  # A recording as a file of another format: all its streams' messages, merged by time.
+  # Exports a recording to a file of another format: the messages of all streams, merged by time.
   alias Situ.Bridge.Foxglove.Messages
   alias Situ.Bridge.Ros.{Definition, Library}
   alias Situ.Bridge.Mcap
@@ -30,8 +30,8 @@ defmodule Situ.Bridge.Recorder.Export do
     written(job, MapSet.new())
   end
 
-  # A stream's first message settles how it is written where the caller does not. One that a later message does not fit
-  # is written as JSON: from the beginning, since a topic is written in one way.
+  # Unless the caller sets the encoding, a stream's first message determines it. If a later message does not fit that
+  # encoding, the export restarts with the stream as JSON, since a topic has a single encoding.
   defp written(job, json) do
     with {:ok, writer} <- job.module.create(job.path, job.opts) do
       case copy(writer, job, json) do
@@ -87,7 +87,7 @@ defmodule Situ.Bridge.Recorder.Export do
          do: job.module.write(writer, name, message, topic)
   end
 
-  # ROS has no missing number or text: it would become 0 or "".
+  # ROS has no missing numbers or strings: `nil` would become 0 or "".
   defp there(nil, job, name, false) do
     if free?(job, name) and not struct?(job.infos[name].type),
       do: {:error, Error.new(:not_writable, "a message of #{name} is nil")},
@@ -99,14 +99,14 @@ defmodule Situ.Bridge.Recorder.Export do
   defp struct?({:optional, type}), do: struct?(type)
   defp struct?(type), do: is_atom(type) and match?("Elixir." <> _, Atom.to_string(type))
 
-  # A message that came from ROS or Foxglove, and goes as the type that it was, goes with all that was in it.
+  # Messages that keep their ROS or Foxglove type are read as maps, so that the export includes all their fields.
   defp whole(%{module: module, state: state} = store, type, encoding) do
     if known?(type, encoding) and function_exported?(module, :as_maps, 1),
       do: %{store | state: module.as_maps(state)},
       else: store
   end
 
-  # An imported stream knows the type that it had.
+  # The metadata of an imported stream holds its original type.
   defp typed(topic, info, module) do
     with nil <- topic[:type],
          {:ok, %{"schema" => %{"name" => name} = schema}} <- StreamInfo.metadata(info),
@@ -141,7 +141,7 @@ defmodule Situ.Bridge.Recorder.Export do
   defp known?(_type, :json), do: false
   defp known?(type, _ros), do: Library.fetch(Definition.plain(type)) != :error
 
-  # Each stream with its next messages, the earliest first: `{time, name, messages, next_ordinal, stream}`.
+  # Returns each stream with its next messages, ordered by time: `{time, name, messages, next_ordinal, stream}`.
   defp heads(store, wanted, reading, encoding) do
     streams = Store.streams(store)
     extras = Extra.streams(streams)
@@ -181,7 +181,7 @@ defmodule Situ.Bridge.Recorder.Export do
     end
   end
 
-  # After those of the same time, so that streams take turns.
+  # Inserts after heads with the same time, so that streams alternate.
   defp insert_head([{other, _, _, _, _} = head | heads], time, new) when other <= time,
     do: [head | insert_head(heads, time, new)]
 

@@ -1,13 +1,13 @@
 defmodule Situ.Bridge.Recorder.Exporter do
   @moduledoc false
-  # A file that a pipeline writes: one process has it, and a sink for every stream hands messages over.
+  # Writes streams of a pipeline to one file: a server process owns the file, and a sink per stream sends it messages.
   alias Situ.Bridge.Recorder.{Server, Sink}
 
   @enforce_keys [:server, :path, :writer]
   defstruct [:server, :path, :writer]
   @type t :: %__MODULE__{}
 
-  @doc "`writer` is the module of the format (`Situ.Bridge.Recorder`)."
+  @doc "Creates an exporter; `writer` is the module of the format (`Situ.Bridge.Recorder`)."
   def create(%Situ.Graph.Handle{} = p, writer, path, opts) do
     opts = Situ.Options.validate!(opts, writer.file_options())
     {:ok, server} = Server.start(p.pid, {writer, path, opts})

@@ -1,13 +1,13 @@
 defmodule Situ.Bridge.Recorder.Server do
   @moduledoc false
-  # Owns the file while a pipeline writes it: begins it with the pipeline, hands whole chunks to the system every
-  # second, and writes the index when the last stream has ended or the pipeline is gone.
+  # Owns the file while a pipeline writes it: creates it when the pipeline starts, flushes complete chunks to the
+  # operating system every second, and writes the index when the last stream or the pipeline has ended.
   use GenServer, restart: :temporary
   alias Situ.Error
 
   @flush 1_000
 
-  @doc "Not linked: it outlives a pipeline that crashes by the moment that it takes to write the index."
+  @doc "Starts the server without a link, so that it can still write the index after a pipeline crashes."
   def start(pipeline, file), do: GenServer.start(__MODULE__, {pipeline, file})
 
   def expect(server), do: GenServer.call(server, :expect)
@@ -15,7 +15,7 @@ defmodule Situ.Bridge.Recorder.Server do
   def write(server, topic, messages, opts), do: call(server, {:write, topic, messages, opts})
   def done(server), do: call(server, :done)
 
-  # A disk may be slow; it is waited for.
+  # Disks may be slow, so calls have no timeout.
   defp call(server, request) do
     GenServer.call(server, request, :infinity)
   catch
@@ -79,7 +79,7 @@ defmodule Situ.Bridge.Recorder.Server do
     {:stop, :normal, %{state | writer: nil}}
   end
 
-  # A failure here comes again, and is reported, when the next messages come.
+  # A failed flush fails again on the next write, which reports the error.
   defp flush(state) do
     case state.module.flush(state.writer) do
       {:ok, writer} -> %{state | writer: writer, dirty: false}

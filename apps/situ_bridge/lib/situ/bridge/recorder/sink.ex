@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Recorder.Sink do
   @moduledoc false
-  # One stream's way into the file.
+  # Writes one stream to the file.
   use Situ.Component,
     inputs: [in: :any],
     options: [

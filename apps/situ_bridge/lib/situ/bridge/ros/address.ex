@@ -1,24 +1,24 @@
 defmodule Situ.Bridge.Ros.Address do
   @moduledoc false
-  # Where the master is, and under which name others reach this machine.
+  # Determines the address of the master, and the host name under which other machines reach this one.
 
   @options [
     master: [
       type: {:optional, :string},
       default: nil,
-      doc: "The master; else ROS_MASTER_URI, else http://localhost:11311."
+      doc: "URI of the master. Default: ROS_MASTER_URI, then http://localhost:11311."
     ],
     host: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "Under which name others reach this machine; else ROS_HOSTNAME or ROS_IP, with a master on this machine " <>
-          "127.0.0.1, else the machine's name."
+        "Name or address under which other machines reach this one. Default: ROS_HOSTNAME, then ROS_IP, then " <>
+          "127.0.0.1 if the master is on this machine, then the host name."
     ],
     node: [
       type: {:optional, :string},
       default: nil,
-      doc: "The node's name, which nobody else may have; by default one is made up."
+      doc: "Name of the node, which must be unique. Default: a random name."
     ]
   ]
 
@@ -28,7 +28,7 @@ defmodule Situ.Bridge.Ros.Address do
 
   def options, do: @options
 
-  @doc "The address by the options, and the environment."
+  @doc "Builds the address from the options and the environment."
   @spec new(keyword()) :: t()
   def new(opts) do
     master = opts[:master] || System.get_env("ROS_MASTER_URI") || "http://localhost:11311"
@@ -52,12 +52,12 @@ defmodule Situ.Bridge.Ros.Address do
   defp named("/" <> _ = name), do: name
   defp named(name), do: "/" <> name
 
-  @doc "A topic's or a service's whole name."
+  @doc "Returns the absolute name of a topic or service."
   @spec whole(String.t()) :: String.t()
   def whole("/" <> _ = name), do: name
   def whole(name), do: "/" <> name
 
-  @doc "Where to listen so that they can: this machine only, when that is how it is reached."
+  @doc "Returns the interface to listen on: only loopback if other nodes reach this host by a loopback name, else all."
   @spec interface(t()) :: String.t()
   def interface(%{host: host}) when host in ["127.0.0.1", "localhost"], do: "127.0.0.1"
   def interface(_), do: "*"

@@ -9,22 +9,22 @@ defmodule Situ.Bridge.Ros.Bag do
   @schema Codec.time_options() ++ Codec.options()
 
   @moduledoc """
-  Bags of ROS 1 (version 2.0) as recordings: `Situ.Store.open("drive.bag")`, and so in the studio, `bin/situ store`,
-  replay. Written by `create/3` and `write/4` while a pipeline runs, or from a recording by `export/3`.
+  Opens ROS 1 bags (version 2.0) as recordings: `Situ.Store.open("drive.bag")`. The studio, `bin/situ store` and replay
+  open them too. `create/3` and `write/4` write a bag while a pipeline runs; `export/3` writes one from a recording.
 
       {:ok, store} = Situ.Store.open("drive.bag", reader_opts: [times: :header])
       drive = Situ.Bridge.Ros.Bag.create(p, "drive.bag")
-      Situ.Bridge.Ros.Bag.write(pictures, drive, "/camera/image_raw")
+      Situ.Bridge.Ros.Bag.write(images, drive, "/camera/image_raw")
 
-  A topic is a stream, its messages are decoded by the definition in the bag; standard ones are Situ's types
-  (`Situ.Bridge.Ros.Standard`). Two messages of a topic with one time are a nanosecond apart. Bags without an index
-  (the recorder was killed: `.bag.active`) are passed over. Chunks may be plain or LZ4; those by bzip2 are left out
-  and told of under `:damage`. Written are plain chunks.
+  Each topic is a stream. Messages are decoded with the definition in the bag; standard types become Situ's types
+  (`Situ.Bridge.Ros.Standard`). Messages of a topic with the same time are placed one nanosecond apart. Bags without an
+  index (`.bag.active`, because the recorder was killed) are scanned. Chunks may be uncompressed or LZ4; bzip2 chunks
+  are skipped and reported under `:damage`. Written chunks are uncompressed unless `compression: :lz4` is given.
 
-  Depth that the RealSense SDK recorded (`/device_0/sensor_0/Depth_0/image/data`) is `Situ.DepthImage` in the unit that
-  the bag tells; the camera's `Situ.CameraIntrinsics` are in `.../Depth_0/info/camera_info`.
+  Depth images that the RealSense SDK recorded (`/device_0/sensor_0/Depth_0/image/data`) become `Situ.DepthImage`, with
+  the unit given in the bag. The camera's `Situ.CameraIntrinsics` are in `.../Depth_0/info/camera_info`.
 
-  ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
+  ## Options for opening (`Situ.Store.open(path, reader_opts: [...])`)
 
   #{Situ.Options.docs(@schema)}
   """
@@ -58,7 +58,7 @@ defmodule Situ.Bridge.Ros.Bag do
     with {:error, reason} <- File.stat(path), do: {:error, error({:io, reason}, path)}
   end
 
-  # Readers are asked from any process, and a raw file belongs to one.
+  # Any process may call a reader, but a raw file belongs to one process, so the file is opened for each call.
   defp with_file(path, fun) do
     case :file.open(path, [:read, :raw, :binary]) do
       {:ok, file} ->
@@ -82,11 +82,11 @@ defmodule Situ.Bridge.Ros.Bag do
   defp error({:version, version}, path),
     do:
       Error.new(:not_bag, "#{path} is a bag of version #{version}",
-        why: "version 2.0 is read",
+        why: "only version 2.0 can be read",
         fix: "convert it with `rosbag fix`"
       )
 
-  # Connections of one topic and type are one stream.
+  # Connections with the same topic and type form one stream.
   defp tracks(state, opts) do
     times = opts[:times]
 
@@ -199,7 +199,7 @@ defmodule Situ.Bridge.Ros.Bag do
   defdelegate import_options(times), to: Codec
 
   @doc false
-  # For `Situ.Bridge.Recorder.Export`: everything that is in a message.
+  # Makes `Situ.Bridge.Recorder.Export` read all the fields of a message, as maps.
   def as_maps(%__MODULE__{tracks: tracks} = state) do
     maps = Map.new(tracks, fn {id, t} -> {id, %{t | codec: Codec.shaped(t.codec, :maps)}} end)
     %{state | tracks: maps}
@@ -245,7 +245,7 @@ defmodule Situ.Bridge.Ros.Bag do
     end
   end
 
-  # Without reading the messages: their times are those of recording.
+  # Builds envelopes without reading the messages, so both times are the recording time.
   defp envelopes(track, places, ordinal) do
     for {{time, _, _}, at} <- Enum.with_index(places, ordinal),
         do: message(track, {time, time}, at, nil)
@@ -288,8 +288,8 @@ defmodule Situ.Bridge.Ros.Bag do
     end
   end
 
-  # Times of recording and bytes of messages, no more than fit into a batch: a chunk is unpacked once for all of its
-  # messages that follow each other.
+  # Reads the recording times and bytes of as many messages as fit into a batch. A chunk is unpacked once for
+  # consecutive messages.
   defp messages(state, places) do
     with_file(state.path, fn file ->
       places
@@ -324,7 +324,7 @@ defmodule Situ.Bridge.Ros.Bag do
       do:
         {:halt,
          {:error,
-          Error.new(:damaged, "the index of the chunk at byte #{at} points at no message")}},
+          Error.new(:damaged, "the index of the chunk at byte #{at} does not point to a message")}},
       else:
         {:cont,
          {:ok, [rows | found], bytes + Enum.sum(for {_, {_, data}} <- rows, do: byte_size(data))}}
@@ -342,7 +342,7 @@ defmodule Situ.Bridge.Ros.Bag do
   # Writing
 
   @doc """
-  During `build`: a bag that the pipeline writes.
+  Creates a bag that the pipeline writes. Call it while the pipeline is built.
 
   #{Situ.Options.docs(Writer.file_options())}
   """
@@ -358,9 +358,9 @@ defmodule Situ.Bridge.Ros.Bag do
   defdelegate write(stream, exporter, topic, opts \\ []), to: Exporter
 
   @doc """
-  Writes a recording to a new bag, its messages in order of time: `{:ok, count}`. Options as `create/3`, and
-  `streams:`, the names of those wanted, `from:`, `to:` and `skip_damage:` as `Situ.Store.messages/3`, and `progress:`,
-  a function of the messages written so far.
+  Writes a recording to a new bag, with the messages in order of time. Returns `{:ok, count}`. Accepts the options of
+  `create/3`, the options `from:`, `to:` and `skip_damage:` of `Situ.Store.messages/3`, `streams:` (the names of the
+  streams to write) and `progress:` (a function that gets the number of messages written so far).
   """
   @spec export(Situ.Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}

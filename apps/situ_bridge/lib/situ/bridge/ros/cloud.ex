@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.Ros.Cloud do
   @moduledoc false
-  # `sensor_msgs/PointCloud2` as a `Situ.PointCloud` and back. Pure.
+  # Converts `sensor_msgs/PointCloud2` to `Situ.PointCloud` and back. Pure.
   alias Situ.Bridge.Ros.Pixels
   alias Situ.PointCloud
 
   @float32 7
 
-  @doc "The cloud, when x, y and z are float32 and follow each other, as they nearly always are; else `:error`."
+  @doc "Returns the cloud if x, y and z are consecutive float32 fields, which is nearly always the case. Else `:error`."
   @spec from(map()) :: {:ok, PointCloud.t()} | :error
   def from(
         %{"is_bigendian" => false, "point_step" => step, "data" => data, "fields" => fields} = m
@@ -34,7 +34,7 @@ defmodule Situ.Bridge.Ros.Cloud do
 
   def from(_), do: :error
 
-  # Rows may be longer than their points.
+  # Rows may be padded after their points.
   defp rows(data, height, row, row) when byte_size(data) == height * row, do: {:ok, data}
 
   defp rows(data, height, row, stride) when row <= stride and byte_size(data) == height * stride,
@@ -42,7 +42,7 @@ defmodule Situ.Bridge.Ros.Cloud do
 
   defp rows(_data, _height, _row, _stride), do: :error
 
-  # Blue, green, red and a byte of nothing, whatever the type is called.
+  # The bytes are blue, green, red and one unused byte, whatever the declared type is.
   defp colors(data, step, fields) do
     case fields["rgb"] || fields["rgba"] do
       {at, _kind} when at + 4 <= step ->
@@ -67,7 +67,7 @@ defmodule Situ.Bridge.Ros.Cloud do
   defp integers(bytes, 16),
     do: for(<<x::little-16 <- bytes>>, into: <<>>, do: <<x::little-float-32>>)
 
-  @doc "A cloud as the message's members."
+  @doc "Converts a cloud to the fields of a message."
   @spec to(PointCloud.t()) :: map()
   def to(%PointCloud{points: points, colors: colors} = cloud) do
     n = PointCloud.count(cloud)

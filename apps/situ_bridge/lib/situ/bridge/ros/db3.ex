@@ -3,15 +3,15 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   @schema Codec.time_options() ++ Codec.options()
   @moduledoc """
-  Bags of ROS 2 in SQLite (`.db3`) as recordings: `Situ.Store.open("drive/drive_0.db3")`, and so in the studio,
-  `bin/situ store`, replay.
+  Opens ROS 2 bags in SQLite (`.db3`) as recordings: `Situ.Store.open("drive/drive_0.db3")`. The studio,
+  `bin/situ store` and replay open them too.
 
-  A topic is a stream. Messages (CDR) are decoded by the definitions in the file, which ROS 2 writes since Iron, or else
-  by ROS's own ones; standard ones are Situ's types (`Situ.Bridge.Ros.Standard`). Each file of a bag that was split is a
-  recording. The program `sqlite3` (Debian's package of that name) reads the file, in a separate process; nothing writes
-  to it.
+  Each topic is a stream. Messages (CDR) are decoded with the definitions in the file, which ROS 2 has written since
+  Iron, or with ROS's standard definitions. Standard types become Situ's types (`Situ.Bridge.Ros.Standard`). Each file
+  of a split bag is a separate recording. The program `sqlite3` (the Debian package of the same name) reads the file in
+  a separate process. The file is never modified.
 
-  ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
+  ## Options for opening (`Situ.Store.open(path, reader_opts: [...])`)
 
   #{Situ.Options.docs(@schema)}
   """
@@ -21,10 +21,10 @@ defmodule Situ.Bridge.Ros.Db3 do
   alias Situ.Message
   alias Situ.Store.{StreamInfo, Undecoded}
 
-  # A message that another program deleted after the file was opened.
-  @gone %Undecoded{codec: "cdr", bytes: "", reason: "the message is gone"}
+  # Stands in for a message that another program deleted after the file was opened.
+  @gone %Undecoded{codec: "cdr", bytes: "", reason: "the message was deleted from the file"}
 
-  # Bytes of the messages of one batch.
+  # Maximum size of the messages in one batch, in bytes.
   @most 16 * 1024 * 1024
 
   defstruct [:path, :name, :tracks, :streams, :notes]
@@ -65,7 +65,7 @@ defmodule Situ.Bridge.Ros.Db3 do
     }
   end
 
-  # The topic of a message and its place. SQLite does not keep texts out of columns of numbers: such rows are left out.
+  # Parses the topic and position of a message. SQLite allows text in numeric columns; such rows are skipped.
   defp place(row) do
     for [topic, time, id, size] <- numbers(row), id >= 0, size >= 0, do: {topic, {time, id, size}}
   end
@@ -75,7 +75,7 @@ defmodule Situ.Bridge.Ros.Db3 do
     if Enum.all?(parsed, &match?({_, ""}, &1)), do: [Enum.map(parsed, &elem(&1, 0))], else: []
   end
 
-  # Files of before Iron have none.
+  # Files from before Iron contain no definitions.
   defp definitions(path) do
     there = "select name from sqlite_master where type = 'table' and name = 'message_definitions'"
     all = "select topic_type, encoding, hex(encoded_message_definition) from message_definitions"
@@ -131,7 +131,7 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   defp track(_other, _definitions, _places, _messages), do: nil
 
-  # Takes originating times from headers, where messages begin with one.
+  # Takes originating times from the headers of messages that begin with one.
   defp put_stamps(tracks, path, :header) do
     case for(%{id: id, codec: codec} <- tracks, Codec.stamps(codec), do: id) do
       [] ->
@@ -161,7 +161,8 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   defp stamped_place(_row), do: []
 
-  # CDR: a byte of padding, the byte order, two bytes of options, then seconds and nanoseconds. No stamp is 0.
+  # CDR begins with a byte of padding, the byte order and two bytes of options. Seconds and nanoseconds follow. A zero
+  # stamp means that the time is missing.
   defp read_stamp(<<_, _, _::16, 0::64>>), do: nil
   defp read_stamp(<<_, 1, _::16, s::little-signed-32, ns::little-32>>), do: join_stamp(s, ns)
   defp read_stamp(<<_, 0, _::16, s::signed-32, ns::32>>), do: join_stamp(s, ns)
@@ -201,7 +202,7 @@ defmodule Situ.Bridge.Ros.Db3 do
   defdelegate import_options(times), to: Codec
 
   @doc false
-  # For `Situ.Bridge.Recorder.Export`: everything that is in a message.
+  # Makes `Situ.Bridge.Recorder.Export` read all the fields of a message, as maps.
   def as_maps(%__MODULE__{tracks: tracks} = state) do
     maps = Map.new(tracks, fn {id, t} -> {id, %{t | codec: Codec.shaped(t.codec, :maps)}} end)
     %{state | tracks: maps}
@@ -253,7 +254,7 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   defp within(_rows, _bytes), do: []
 
-  # The times of recording and the data of messages, by their numbers.
+  # Fetches the recording times and the data of messages, by message id.
   defp fetch(state, track, rows, envelopes?) do
     ids = Enum.map_join(rows, ",", &elem(&1, 1))
     column = if envelopes?, do: "''", else: "hex(data)"

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Definition do
   @moduledoc """
-  Message definitions of ROS 1 and ROS 2 (`.msg`), as they stand in files, bags and MCAP: a type and, behind lines of
-  `=`, the types that it is made of.
+  Parses message definitions of ROS 1 and ROS 2 (`.msg`), as found in files, bags and MCAP. A definition consists of a
+  type and, separated by lines of `=`, the types that it contains.
 
       iex> alias Situ.Bridge.Ros.Definition
       iex> {:ok, definition} = Definition.parse("geometry_msgs/Point", "float64 x\\nfloat64 y\\nfloat64 z")
@@ -10,8 +10,8 @@ defmodule Situ.Bridge.Ros.Definition do
       iex> Definition.md5(definition)
       "4a842b65f413084dc2b10fb484ea7f17"
 
-  A type of a field is a primitive (`:bool`, `:int8` ... `:float64`, `:string`, `:time`, `:duration`), `{:message,
-  name}`, `{:array, type, n}` or `{:list, type}`. Names are without the `msg/` that ROS 2 puts into them.
+  The type of a field is a primitive (`:bool`, `:int8` ... `:float64`, `:string`, `:time`, `:duration`), `{:message,
+  name}`, `{:array, type, n}` or `{:list, type}`. Type names do not contain the `msg/` that ROS 2 inserts.
   """
   alias Situ.Bridge.Ros.Library
 
@@ -52,9 +52,9 @@ defmodule Situ.Bridge.Ros.Definition do
   @most_types 1_000
 
   @doc """
-  Parses a definition. Types that the text leaves out are looked up among ROS's own (`Situ.Bridge.Ros.Library`), those
-  of ROS 1 or of ROS 2.
-  Errors are sentences: a malformed line, an unknown type, types that contain themselves.
+  Parses a definition. Types that the text does not define are looked up in the standard types of ROS 1 or ROS 2
+  (`Situ.Bridge.Ros.Library`). Errors are sentences that describe a malformed line, an unknown type, or a type that
+  contains itself.
   """
   @spec parse(String.t(), String.t(), Library.dialect()) :: {:ok, t()} | {:error, String.t()}
   def parse(name, text, dialect \\ :ros1) do
@@ -67,7 +67,7 @@ defmodule Situ.Bridge.Ros.Definition do
     end
   end
 
-  # A structure of ROS 2's has a member, even where its definition has none.
+  # ROS 2 adds a member to a type whose definition is empty.
   defp never_empty(types, :ros1), do: types
 
   defp never_empty(types, :ros2) do
@@ -82,7 +82,8 @@ defmodule Situ.Bridge.Ros.Definition do
   end
 
   @doc """
-  The two types of a service (`.srv`: a request, a line `---`, a response), and its MD5 sum, which only ROS 1 needs.
+  Parses a service (`.srv`: a request, a line `---`, a response). Returns its two types and its MD5 sum, which only
+  ROS 1 needs.
 
       iex> text = "bool data\\n---\\nbool success\\nstring message"
       iex> {:ok, service} = Situ.Bridge.Ros.Definition.service("std_srvs/SetBool", text)
@@ -100,12 +101,12 @@ defmodule Situ.Bridge.Ros.Definition do
       texts = for d <- [request, response], do: md5_text(d.name, d.types)
       {:ok, %{request: request, response: response, md5: sum(texts)}}
     else
-      [_] -> {:error, "it has no line --- between request and response"}
+      [_] -> {:error, "the line --- between the request and the response is missing"}
       error -> error
     end
   end
 
-  @doc "A type's name without `msg/` and `srv/`."
+  @doc "Returns a type's name without `msg/` or `srv/`."
   @spec plain(String.t()) :: String.t()
   def plain(name) do
     case String.split(name, "/") do
@@ -129,7 +130,7 @@ defmodule Situ.Bridge.Ros.Definition do
   end
 
   defp go_on({:ok, types}) when map_size(types) <= @most_types, do: {:cont, {:ok, types}}
-  defp go_on({:ok, _}), do: {:halt, {:error, "it has more than #{@most_types} types"}}
+  defp go_on({:ok, _}), do: {:halt, {:error, "the definition has more than #{@most_types} types"}}
   defp go_on(error), do: {:halt, error}
 
   defp section(name, text, types) do
@@ -151,7 +152,7 @@ defmodule Situ.Bridge.Ros.Definition do
           {:cont, {:ok, %{message | constants: [constant | message.constants]}}}
 
         :error ->
-          {:halt, {:error, "#{name} has the line #{inspect(String.slice(line, 0, 80))}"}}
+          {:halt, {:error, "#{name} has the invalid line #{inspect(String.slice(line, 0, 80))}"}}
       end
     end)
     |> case do
@@ -164,7 +165,7 @@ defmodule Situ.Bridge.Ros.Definition do
     end
   end
 
-  # A string constant goes on to the end of its line, whatever is in it.
+  # A string constant extends to the end of its line, including any `#`.
   defp line(line, package) do
     case Regex.run(~r/\A\s*w?string(?:<=\d+)?\s+([A-Za-z]\w*)\s*=(.*)\z/, line) do
       [_, name, value] -> {:constant, {"string", name, String.trim(value)}}
@@ -209,7 +210,7 @@ defmodule Situ.Bridge.Ros.Definition do
     end
   end
 
-  # Every type that is met is there, or ROS's own.
+  # Ensures that every type in use is defined by the text or is a standard type.
   defp complete(_root, types, []), do: {:ok, types}
 
   defp complete(root, types, [name | rest]) do
@@ -239,7 +240,7 @@ defmodule Situ.Bridge.Ros.Definition do
   defp known(name, types, dialect) do
     case Library.fetch(name, dialect) do
       {:ok, text} when map_size(types) <= @most_types -> section(name, text, types)
-      _ -> {:error, "nothing tells what #{name} is"}
+      _ -> {:error, "the type #{name} is not defined"}
     end
   end
 
@@ -250,7 +251,7 @@ defmodule Situ.Bridge.Ros.Definition do
 
   defp finite(name, types, above) do
     if name in above do
-      {:error, "#{name} is made of itself"}
+      {:error, "the type #{name} contains itself"}
     else
       types[name].fields
       |> Enum.map(&inner(elem(&1, 1)))
@@ -265,7 +266,7 @@ defmodule Situ.Bridge.Ros.Definition do
     end
   end
 
-  @doc "The MD5 sum by which ROS 1 tells whether two sides mean the same type."
+  @doc "Returns the MD5 sum with which ROS 1 checks that both sides use the same type."
   @spec md5(t()) :: String.t()
   def md5(%__MODULE__{name: name, types: types}), do: md5(name, types)
 
@@ -278,7 +279,7 @@ defmodule Situ.Bridge.Ros.Definition do
     Enum.join(fixed ++ Enum.zip_with(fields, spelled, &md5_line(&1, &2, types)), "\n")
   end
 
-  # A type made of others is told by their sums, without the brackets of a list.
+  # A field with a message type is hashed with the MD5 sum of that type, without array brackets.
   defp md5_line({name, type}, spelled, types) do
     case inner(type) do
       nil -> "#{spelled |> String.split("<=") |> hd()} #{name}"

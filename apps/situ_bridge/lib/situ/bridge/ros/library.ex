@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Library do
   @moduledoc false
-  # The definitions of the types that most messages are made of (field by field; names and types are facts of the
-  # interface). `priv/ros` has one file a package: types behind lines of `MSG:`.
+  # Provides the definitions of ROS's standard types, field by field (names and types are facts of the interface). The
+  # files in `priv/ros` list types, each after a line `MSG:`.
 
   @external_resource common = Path.expand("../../../../priv/ros/common.msg", __DIR__)
   @external_resource newer = Path.expand("../../../../priv/ros/ros2.msg", __DIR__)
@@ -15,7 +15,7 @@ defmodule Situ.Bridge.Ros.Library do
     end
 
   @definitions definitions
-  # ROS 2 has its times as messages, and some types are others.
+  # In ROS 2, times are messages, and some types differ.
   @newer definitions
          |> Map.new(fn {name, text} ->
            text = String.replace(text, ~r/^time(?=[ \[])/m, "builtin_interfaces/Time")
@@ -25,13 +25,13 @@ defmodule Situ.Bridge.Ros.Library do
 
   @type dialect :: :ros1 | :ros2
 
-  @doc "A type's definition, as one of the two has it."
+  @doc "Fetches the definition of a type in ROS 1 or ROS 2."
   @spec fetch(String.t(), dialect()) :: {:ok, String.t()} | :error
   def fetch(name, dialect \\ :ros1)
   def fetch(name, :ros1), do: Map.fetch(@definitions, name)
   def fetch(name, :ros2), do: Map.fetch(@newer, name)
 
-  @doc "The names of all types."
+  @doc "Returns the names of all ROS 1 types."
   @spec names() :: [String.t()]
   def names, do: @definitions |> Map.keys() |> Enum.sort()
 end

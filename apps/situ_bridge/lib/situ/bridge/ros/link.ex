@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Link do
   @moduledoc false
-  # The connection of a subscriber to one publisher. The owner gets `{:ros, theirs, payloads}`, `theirs` being the
-  # fields of the publisher's header. While too much is untaken nothing more is read.
+  # Connects a subscriber to one publisher. The owner receives `{:ros, theirs, payloads}`, where `theirs` contains the
+  # fields of the publisher's header. The link stops reading while too many messages are waiting for the owner.
   use GenServer, restart: :temporary
   alias Situ.Bridge.Net.Pieces
   alias Situ.Bridge.Ros.{TcpRos, XmlRpc}
@@ -11,7 +11,7 @@ defmodule Situ.Bridge.Ros.Link do
 
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
-  @doc "Its publisher is gone: it ends when nothing comes any more."
+  @doc "Lets the link end as soon as it is silent, because its publisher has unregistered."
   @spec leave(pid()) :: :ok
   def leave(link), do: GenServer.cast(link, :leave)
 
@@ -73,8 +73,8 @@ defmodule Situ.Bridge.Ros.Link do
   @impl true
   def handle_cast(:leave, state), do: {:noreply, look_again(state)}
 
-  # A publisher closes the connection; one that does not has said its last word when it is silent, unless it is we who
-  # do not read.
+  # A publisher that leaves normally closes the connection. If it does not, the link ends when it is silent, unless this
+  # side has stopped reading.
   defp look_again(state) do
     waits? = :atomics.get(state.untaken, 1) >= state.high_water_mark
     seen = if waits?, do: :waits, else: state.seen

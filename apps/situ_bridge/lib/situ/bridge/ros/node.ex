@@ -1,11 +1,11 @@
 defmodule Situ.Bridge.Ros.Node do
   @moduledoc false
-  # One end of a topic as a node of ROS: it tells the master of itself, again when the master is another one, and
-  # answers who asks for it. Of a subscriber it holds a link to every publisher; what comes goes to the owner.
+  # A ROS node for one end of a topic. It registers with the master, registers again if the master restarts, and handles
+  # the calls of other nodes. A subscriber has a link to every publisher; the owner receives their messages.
   #
-  #     owner ── Node ─┬─ Registrar          registers, and sees when the master was restarted
-  #                    ├─ Slave ...          one call of the master or of a peer each
-  #                    └─ Link ...           one publisher each; one that breaks is made again
+  #     owner ── Node ─┬─ Registrar          registers the node, and detects that the master was restarted
+  #                    ├─ Slave ...          handles one call from the master or a peer
+  #                    └─ Link ...           connects to one publisher, and is restarted when it breaks
   use GenServer
   require Logger
   alias Situ.Bridge.Net.Listener
@@ -45,11 +45,11 @@ defmodule Situ.Bridge.Ros.Node do
     end
   end
 
-  @doc "How many publishers a subscriber is connected to."
+  @doc "Returns the number of publishers that a subscriber is connected to."
   @spec linked(pid()) :: non_neg_integer()
   def linked(node), do: GenServer.call(node, :linked)
 
-  @doc "Tells the master that it goes, and ends."
+  @doc "Unregisters the node from the master and stops it."
   @spec stop(pid()) :: :ok
   def stop(node) do
     GenServer.stop(node, :normal, 10_000)
@@ -86,7 +86,7 @@ defmodule Situ.Bridge.Ros.Node do
        do: {[1, "ready", ["TCPROS", state.address.host, port]], state}
 
   defp slave("requestTopic", _arguments, state),
-    do: {[0, "this node does not publish it", 0], state}
+    do: {[0, "this node does not publish the topic", 0], state}
 
   defp slave(
          "publisherUpdate",
@@ -102,10 +102,10 @@ defmodule Situ.Bridge.Ros.Node do
   defp slave("getBusInfo", _, state), do: {[1, "", []], state}
   defp slave("getPublications", _, state), do: {[1, "", topics(state.role, :publisher)], state}
   defp slave("getSubscriptions", _, state), do: {[1, "", topics(state.role, :subscriber)], state}
-  # Another node took the name: the master says so to the first.
+  # The master sends this to the first node when another node takes its name.
   defp slave("shutdown", [_caller, why], state) do
     Logger.warning(
-      "ROS: the master wants #{state.address.node} to go: #{inspect(why, limit: 50)}"
+      "ROS: the master asks #{state.address.node} to shut down: #{inspect(why, limit: 50)}"
     )
 
     {[1, "", 0], state}
@@ -149,7 +149,7 @@ defmodule Situ.Bridge.Ros.Node do
     end
   end
 
-  # Those that are gone are let go, once all is read that they had sent; new ones are linked.
+  # Links to publishers that left end after all the data they sent has been read. New publishers are linked.
   defp linking(%{role: {:subscriber, _, _, _}} = state, uris) do
     uris = Enum.filter(uris, &is_binary/1)
     {stay, go} = Map.split(state.links, uris)
@@ -179,7 +179,7 @@ defmodule Situ.Bridge.Ros.Node do
     %{state | links: Map.put(state.links, uri, link)}
   end
 
-  # The same error is reported once, not at every attempt.
+  # The same error is logged once, not at every attempt.
   defp unlinked(state, uri, reason) do
     {wait, told} = Map.get(state.waits, uri, {@first_wait, nil})
 

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Number do
   @moduledoc false
-  # Numbers of fixed size in either byte order; what Elixir's floats have not are `:nan`, `:infinity` and
-  # `:neg_infinity`.
+  # Decodes and encodes numbers of fixed size in either byte order. Float values that Elixir does not have are `:nan`,
+  # `:infinity` and `:neg_infinity`.
   import Situ.Bits, only: [known: 1]
 
   @sizes %{
@@ -21,11 +21,11 @@ defmodule Situ.Bridge.Ros.Number do
   @type kind :: atom()
   @type order :: :little | :big
 
-  @doc "Bytes of one number, or nil."
+  @doc "Returns the size of a number in bytes, or nil for other types."
   @spec size(term()) :: 1 | 2 | 4 | 8 | nil
   def size(kind), do: Map.get(@sizes, kind)
 
-  @doc "The number in `bytes`, which are as many as `size/1` says."
+  @doc "Decodes the number in `bytes`, whose size must be `size/1`."
   @spec read(kind(), binary(), order()) :: term()
   def read(kind, bytes, :big), do: read(kind, reversed(bytes), :little)
   def read(:bool, <<b>>, _), do: b != 0
@@ -53,7 +53,7 @@ defmodule Situ.Bridge.Ros.Number do
     end
   end
 
-  @doc "All numbers in `bytes`; a list of bytes is a binary."
+  @doc "Decodes all numbers in `bytes`. Lists of 8-bit integers are returned as a binary."
   @spec read_all(kind(), binary(), order()) :: [term()] | binary()
   def read_all(kind, bytes, _) when kind in [:uint8, :int8], do: :binary.copy(bytes)
 
@@ -67,7 +67,7 @@ defmodule Situ.Bridge.Ros.Number do
   def read_all(:uint16, bytes, :little), do: for(<<n::little-16 <- bytes>>, do: n)
   def read_all(kind, bytes, order), do: each(kind, bytes, order)
 
-  # A comprehension leaves out what is no number.
+  # The comprehension skips NaN and infinities. If it skipped any, every value is decoded separately.
   defp floats(all, kind, bytes) do
     if length(all) * size(kind) == byte_size(bytes), do: all, else: each(kind, bytes, :little)
   end
@@ -77,7 +77,7 @@ defmodule Situ.Bridge.Ros.Number do
     for <<one::binary-known(size) <- bytes>>, do: read(kind, one, order)
   end
 
-  @doc "A number as bytes, little-endian. Throws `{:not_writable, value}` for what the kind has not."
+  @doc "Encodes a number in little-endian order. Throws `{:not_writable, value}` if the value is out of range."
   @spec write(kind(), term()) :: binary()
   def write(:bool, b) when is_boolean(b), do: <<if(b, do: 1, else: 0)>>
 

@@ -1,10 +1,10 @@
 defmodule Situ.Bridge.Ros.Optics do
   @moduledoc false
-  # `sensor_msgs/CameraInfo` as `Situ.CameraIntrinsics` and back: the pinhole and its lens; the rest of the message
-  # (rectification, binning, region of interest) has no place there. Pure.
+  # Converts `sensor_msgs/CameraInfo` to `Situ.CameraIntrinsics` and back: the pinhole model and the lens distortion.
+  # The rest of the message (rectification, binning, region of interest) is dropped. Pure.
   alias Situ.{CameraIntrinsics, Error}
 
-  @doc "The optics of a calibrated camera; else `:error`."
+  @doc "Returns the intrinsics of a calibrated camera, or `:error` if the camera is not calibrated."
   @spec from(map()) :: {:ok, CameraIntrinsics.t()} | {:error, Error.t()} | :error
   def from(%{"width" => width, "height" => height} = m) do
     with [fx, _, cx, _, fy, cy, _, _, _] <- m["K"] || m["k"],
@@ -26,7 +26,7 @@ defmodule Situ.Bridge.Ros.Optics do
 
   def from(_), do: :error
 
-  # The last two are the RealSense SDK's names; its inverse lens goes from distorted to undistorted.
+  # The last two are the names of the RealSense SDK. Its inverse model maps distorted to undistorted coordinates.
   @inverse "Inverse Brown Conrady"
   @models ["plumb_bob", "rational_polynomial", "", "Brown Conrady", @inverse]
 
@@ -38,7 +38,7 @@ defmodule Situ.Bridge.Ros.Optics do
       {true, d} when d == [] and model in @models ->
         {:ok, [], {0.0, 0.0}, true}
 
-      # Without any bending all models are the same.
+      # Without distortion, all models are equivalent.
       {true, [_ | _]} ->
         if Enum.all?(d, &(&1 == 0)), do: {:ok, [], {0.0, 0.0}, true}, else: :error
 
@@ -49,7 +49,7 @@ defmodule Situ.Bridge.Ros.Optics do
 
   defp lens(_d, _model), do: :error
 
-  @doc "The members D, K, R and P in the letters that an encoding has for them."
+  @doc "Renames the fields D, K, R and P to the upper or lower case that the encoding uses."
   @spec spelled(map(), :ros1 | :cdr) :: map()
   def spelled(message, encoding) do
     Enum.reduce(~w(d k r p), message, fn small, message ->
@@ -63,14 +63,15 @@ defmodule Situ.Bridge.Ros.Optics do
     end)
   end
 
-  @doc "Optics as members of the message. Raises `Situ.Error` (`:not_writable`) for a lens told the other way round."
+  @doc "Converts intrinsics to the fields of a message. Raises `Situ.Error` (`:not_writable`) for an inverse model."
   @spec to(CameraIntrinsics.t()) :: map()
   def to(%CameraIntrinsics{distorts?: false, radial: radial, tangential: tangential} = c)
       when radial != {0.0, 0.0, 0.0, 0.0, 0.0, 0.0} or tangential != {0.0, 0.0} do
     raise Error.new(
             :not_writable,
             "a CameraInfo cannot describe the lens of the #{c.width}x#{c.height} camera",
-            why: "its coefficients go from distorted to undistorted, ROS's the other way"
+            why:
+              "its coefficients map distorted to undistorted coordinates, but ROS uses the opposite direction"
           )
   end
 

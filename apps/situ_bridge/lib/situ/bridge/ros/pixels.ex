@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Ros.Pixels do
   @moduledoc false
-  # Pictures as ROS and Foxglove name their encodings, and bytes out of rows of points. Pure.
+  # Converts images to and from the encodings of ROS and Foxglove, and extracts bytes from rows of points. Pure.
   import Situ.Bits, only: [known: 1]
   alias Situ.{DepthImage, Image}
 
@@ -23,11 +23,14 @@ defmodule Situ.Bridge.Ros.Pixels do
     bgra32: "bgra8"
   }
 
-  @doc "The name of a picture's encoding, or `nil`."
+  @doc "Returns the name of an image's encoding, or `nil`."
   @spec name(Image.t()) :: String.t() | nil
   def name(%Image{format: format}), do: @formats[format]
 
-  @doc "The picture of a message with `encoding` and `data`; the others are named. Little-endian unless it says."
+  @doc """
+  Builds the image of a message with the fields `encoding` and `data`. `width`, `height` and `step` are the names of the
+  other fields. Pixels are little-endian unless the message sets `is_bigendian`.
+  """
   @spec from(map(), String.t(), String.t(), String.t()) ::
           {:ok, struct()} | {:error, term()} | :error
   def from(%{"encoding" => encoding, "data" => data} = m, width, height, step) do
@@ -42,7 +45,7 @@ defmodule Situ.Bridge.Ros.Pixels do
     end
   end
 
-  @doc "A picture as members of a message; `step` is the name of the bytes of a row."
+  @doc "Converts an image to the fields of a message. `step` is the name of the field for the bytes per row."
   @spec to(Image.t() | DepthImage.t(), String.t()) :: map()
   def to(%{} = image, step) do
     %{
@@ -57,7 +60,7 @@ defmodule Situ.Bridge.Ros.Pixels do
   defp encoding(%DepthImage{}), do: "16UC1"
   defp encoding(%Image{} = image), do: name(image)
 
-  @doc "`n` bytes at `at` out of every `step`."
+  @doc "Returns the `n` bytes at offset `at` of every `step` bytes, joined."
   @spec every(binary(), pos_integer(), non_neg_integer(), pos_integer()) :: binary()
   def every(data, n, 0, n), do: data
 
@@ -69,7 +72,7 @@ defmodule Situ.Bridge.Ros.Pixels do
       do: part
   end
 
-  @doc "Points of 12 bytes and colours of three as 16 bytes each, the last a zero."
+  @doc "Interleaves 12-byte points and 3-byte colors as 16 bytes each; the last byte is zero."
   @spec woven(binary(), binary()) :: binary()
   def woven(points, colors), do: woven(points, colors, [])
 

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Ros.Places do
   @moduledoc false
-  # Where the messages of a topic are, in order of time: a time and two numbers each, packed. Pure.
+  # Packs the positions of a topic's messages in order of time: a time and two numbers for each message. Pure.
 
   @size 24
 
@@ -8,7 +8,7 @@ defmodule Situ.Bridge.Ros.Places do
   @type row :: {Situ.Time.t(), non_neg_integer(), non_neg_integer()}
 
   @doc """
-  Rows in order of time. Times strictly increase: messages of one time are a nanosecond apart.
+  Packs rows in order of time. Times strictly increase: rows with equal times are placed one nanosecond apart.
 
       iex> places = Situ.Bridge.Ros.Places.pack([{5, 2, 0}, {5, 1, 0}])
       iex> Situ.Bridge.Ros.Places.at(places, 1)
@@ -36,7 +36,7 @@ defmodule Situ.Bridge.Ros.Places do
     {time, a, b}
   end
 
-  @doc "The number of the first row at or after a time; the count when there is none."
+  @doc "Returns the index of the first row at or after a time, or the number of rows if there is none."
   @spec seek(t(), Situ.Time.t()) :: non_neg_integer()
   def seek(places, time), do: seek(places, time, 0, count(places))
 
@@ -50,7 +50,7 @@ defmodule Situ.Bridge.Ros.Places do
       else: seek(places, time, low, middle)
   end
 
-  @doc "At most `limit` rows from a number on, up to a time (`:unbounded`)."
+  @doc "Returns at most `limit` rows from index `from` up to the time `to`, which may be `:unbounded`."
   @spec slice(t(), non_neg_integer(), Situ.Time.t() | :unbounded, pos_integer()) :: [row()]
   def slice(places, from, to, limit) do
     last = if to == :unbounded, do: count(places) - 1, else: seek(places, to + 1) - 1

@@ -1,14 +1,14 @@
 defmodule Situ.Bridge.Ros.Registrar do
   @moduledoc false
-  # Tells the master of a node, and looks every second whether it is still the same master: one that was restarted knows
-  # nobody. Its calls may take seconds, so it is a process of its own.
+  # Registers a node with the master, and checks every second whether the master was restarted, since a new master knows
+  # no nodes. The calls may take seconds, so the registrar runs in a separate process.
   require Logger
   alias Situ.Bridge.Ros.XmlRpc
 
   @every 1_000
   @goodbye 1_000
 
-  @doc "The process, linked to the caller; a subscriber gets `{:publishers, uris}`."
+  @doc "Starts the process, linked to the caller. A subscriber receives `{:publishers, uris}`."
   @spec start_link(pid(), Situ.Bridge.Ros.Address.t(), Situ.Bridge.Ros.Node.role(), String.t()) ::
           pid()
   def start_link(node, address, role, uri),
@@ -22,7 +22,10 @@ defmodule Situ.Bridge.Ros.Registrar do
          {:ok, publishers} <-
            call(state.address, registering(state.role), arguments(state) ++ [state.uri]) do
       if elem(state.role, 0) == :subscriber, do: send(state.node, {:publishers, publishers})
-      if state.told, do: Logger.info("ROS: #{state.address.master} is there")
+
+      if state.told,
+        do: Logger.info("ROS: the master at #{state.address.master} is reachable again")
+
       watch(%{state | told: nil}, pid)
     else
       {:error, error} ->
@@ -48,13 +51,13 @@ defmodule Situ.Bridge.Ros.Registrar do
 
   defp arguments(%{address: address, role: {_, topic, type, _}}), do: [address.node, topic, type]
 
-  @doc "A goodbye that waits for nobody long."
+  @doc "Unregisters the node with a short timeout."
   def unregister(address, {role, topic, _, _}, uri) do
     method = if role == :publisher, do: "unregisterPublisher", else: "unregisterSubscriber"
     XmlRpc.call(address.master, method, [address.node, topic, uri], @goodbye)
   end
 
-  @doc "A method of the master: its answers are `[code, text, value]`."
+  @doc "Calls a method of the master, which replies with `[code, text, value]`, and returns the value."
   @spec call(Situ.Bridge.Ros.Address.t(), String.t(), list()) ::
           {:ok, term()} | {:error, Situ.Error.t()}
   def call(address, method, arguments) do

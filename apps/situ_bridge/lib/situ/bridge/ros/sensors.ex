@@ -1,13 +1,13 @@
 defmodule Situ.Bridge.Ros.Sensors do
   @moduledoc false
-  # Inertial sensors, receivers of satellites, joints, places and trees of them, as ROS's messages have them. Pure.
+  # Converts ROS messages of inertial sensors, satellite receivers, joints, poses and transforms. Pure.
   alias Situ.{GeoPoint, ImuReading, JointState, Pose, Transform}
 
   @type made :: {:ok, term()} | {:error, term()} | :error
   @unknown List.duplicate(0.0, 9)
   @no_rotation {1.0, 0.0, 0.0, 0.0}
 
-  @doc "An Imu. Without an orientation of its own its covariance begins with -1, or nothing is set."
+  @doc "Converts an Imu. The orientation is nil if its covariance begins with -1 or all its components are zero."
   @spec imu(map()) :: made()
   def imu(%{"linear_acceleration" => a, "angular_velocity" => w} = m) do
     with {:ok, acceleration} <- vector(a), {:ok, velocity} <- vector(w) do
@@ -25,7 +25,7 @@ defmodule Situ.Bridge.Ros.Sensors do
     end
   end
 
-  @doc "A NavSatFix that has a fix."
+  @doc "Converts a NavSatFix, or returns `:error` if it has no fix."
   @spec fix(map()) :: made()
   def fix(%{"status" => %{"status" => status}} = m) when status >= 0 do
     GeoPoint.new(m["latitude"], m["longitude"], height: altitude(m), accuracy: accuracy(m))
@@ -33,11 +33,11 @@ defmodule Situ.Bridge.Ros.Sensors do
 
   def fix(_no_fix), do: :error
 
-  @doc "The altitude; NaN means that nobody knows."
+  @doc "Returns the altitude, or nil if it is NaN, which means unknown."
   @spec altitude(map()) :: float() | nil
   def altitude(%{"altitude" => altitude}), do: if(is_float(altitude), do: altitude)
 
-  @doc "The standard deviations of a covariance that is known."
+  @doc "Returns the standard deviations of the covariance, or nil if it is unknown."
   @spec accuracy(map()) :: Situ.Vector3.t() | nil
   def accuracy(%{"position_covariance" => [e, _, _, _, n, _, _, _, u]} = m)
       when is_float(e) and is_float(n) and is_float(u) and e >= 0 and n >= 0 and u >= 0 do
@@ -48,32 +48,32 @@ defmodule Situ.Bridge.Ros.Sensors do
 
   def accuracy(_m), do: nil
 
-  @doc "A JointState."
+  @doc "Converts a JointState."
   @spec joints(map()) :: made()
   def joints(%{"name" => names, "position" => p, "velocity" => v, "effort" => e}),
     do: JointState.new(names, p, v, e)
 
-  @doc "A TransformStamped."
+  @doc "Converts a TransformStamped."
   @spec transform(map()) :: made()
   def transform(%{"header" => header, "child_frame_id" => frame, "transform" => t}) do
     with {:ok, pose} <- pose(t["translation"], t["rotation"]),
          do: {:ok, Transform.new(frame, header["frame_id"], pose)}
   end
 
-  @doc "Those of a TFMessage, if all make sense."
+  @doc "Converts the transforms of a TFMessage, or returns `:error` if any of them is invalid."
   @spec transforms([map()]) :: made()
   def transforms(list) do
     made = for m <- list, {:ok, transform} <- [transform(m)], do: transform
     if length(made) == length(list), do: {:ok, made}, else: :error
   end
 
-  @doc "Transforms as those that hold at all times."
+  @doc "Marks transforms as static, that is, valid at all times."
   @spec static(term()) :: term()
   def static(%Transform{} = transform), do: %{transform | static: true}
   def static(list) when is_list(list), do: Enum.map(list, &static/1)
   def static(other), do: other
 
-  @doc "A position and a rotation; one of no length is none."
+  @doc "Converts a position and a rotation, or returns `:error` if the rotation has length zero."
   @spec pose(map(), map()) :: {:ok, Pose.t()} | :error
   def pose(position, rotation) do
     with {:ok, position} <- vector(position),
@@ -94,7 +94,7 @@ defmodule Situ.Bridge.Ros.Sensors do
 
   defp rotation(_), do: :error
 
-  @doc "A value as the members of its message."
+  @doc "Converts a value to the fields of its message."
   @spec to(ImuReading.t() | GeoPoint.t() | JointState.t() | Pose.t()) :: map()
   def to(%ImuReading{} = imu) do
     %{
@@ -130,17 +130,17 @@ defmodule Situ.Bridge.Ros.Sensors do
   def to(%Pose{} = pose),
     do: %{"position" => xyz(pose.position), "orientation" => turned(pose.rotation)}
 
-  @doc "The nine numbers of a covariance, and the number of what is known of it."
+  @doc "Returns the nine numbers of a covariance matrix and ROS's number for the covariance type."
   @spec covariance(float() | Situ.Vector3.t() | nil) :: {[float()], 0 | 1 | 2}
   def covariance(nil), do: {@unknown, 0}
 
-  # One number over ground: up is a guess, and the whole is marked as approximated.
+  # A single horizontal accuracy: the vertical value is a guess, so the matrix is marked as approximated.
   def covariance(a) when is_float(a),
     do: {[a * a, 0.0, 0.0, 0.0, a * a, 0.0, 0.0, 0.0, a * a], 1}
 
   def covariance({e, n, u}), do: {[e * e, 0.0, 0.0, 0.0, n * n, 0.0, 0.0, 0.0, u * u], 2}
 
-  @doc "A transform as a TransformStamped."
+  @doc "Converts a transform to a TransformStamped."
   @spec stamped(Transform.t(), Situ.Time.t()) :: map()
   def stamped(%Transform{pose: pose} = t, time) do
     %{

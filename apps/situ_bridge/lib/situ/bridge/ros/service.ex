@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Ros.Service do
   @moduledoc false
-  # Services: a caller, and a server with a process for each caller.
+  # Calls a ROS service, and serves one with a process for each caller.
   use GenServer
   alias Situ.Bridge.Net.Listener
   alias Situ.Bridge.Ros.{Address, Definition, Registrar, TcpRos, Wire}
@@ -23,7 +23,7 @@ defmodule Situ.Bridge.Ros.Service do
       :gen_tcp.close(tcp)
       answered(result, name, definition)
     else
-      %URI{} -> {:error, refused(name, "its address is malformed")}
+      %URI{} -> {:error, refused(name, "the master returned a malformed address")}
       error -> error
     end
   end
@@ -41,7 +41,7 @@ defmodule Situ.Bridge.Ros.Service do
            ),
          do:
            {:error,
-            Error.new(:ros_unreachable, "no answer from #{host}:#{port}", why: inspect(reason))}
+            Error.new(:ros_unreachable, "no response from #{host}:#{port}", why: inspect(reason))}
   end
 
   defp exchange(tcp, bytes, header, timeout) do
@@ -61,7 +61,7 @@ defmodule Situ.Bridge.Ros.Service do
         {:ok, fields}
 
       :more ->
-        # Not a byte more than the header: what follows it is a message.
+        # Bytes after the header belong to a message, so exactly the header is read.
         missing = if byte_size(bytes) < 4, do: 4, else: :binary.decode_unsigned(bytes, :little)
 
         with {:ok, more} <- :gen_tcp.recv(tcp, missing, timeout),
@@ -76,7 +76,7 @@ defmodule Situ.Bridge.Ros.Service do
     case :gen_tcp.recv(tcp, 4, timeout) do
       {:ok, <<0::32>>} -> {:ok, ""}
       {:ok, <<n::little-32>>} when n <= @most -> :gen_tcp.recv(tcp, n, timeout)
-      {:ok, <<n::little-32>>} -> "a message of #{n} bytes"
+      {:ok, <<n::little-32>>} -> "the response has #{n} bytes, which is too large"
       error -> error
     end
   end
@@ -94,7 +94,7 @@ defmodule Situ.Bridge.Ros.Service do
   defp answered({:error, reason}, name, _),
     do:
       {:error,
-       Error.new(:ros_unreachable, "the service #{name} does not answer", why: inspect(reason))}
+       Error.new(:ros_unreachable, "the service #{name} is not responding", why: inspect(reason))}
 
   defp printable(text), do: if(String.valid?(text), do: text, else: inspect(text, limit: 50))
 
@@ -104,8 +104,7 @@ defmodule Situ.Bridge.Ros.Service do
   defp definition(name, text) do
     with {:error, why} <- Definition.service(name, text),
          do:
-           {:error,
-            Error.new(:bad_definition, "the definition of #{name} cannot be used", why: why)}
+           {:error, Error.new(:bad_definition, "the definition of #{name} is invalid", why: why)}
   end
 
   defp encode(name, definition, message) do
@@ -184,7 +183,7 @@ defmodule Situ.Bridge.Ros.Service do
     :gen_tcp.close(state.listener)
   end
 
-  # A caller's process: its header, then one request after the other.
+  # Runs in a caller's process: reads its header, then handles one request after another.
   defp adopted(state) do
     receive do
       {:adopt, tcp} -> greeted(tcp, read_header(tcp, "", @timeout), state)
@@ -197,7 +196,7 @@ defmodule Situ.Bridge.Ros.Service do
     case TcpRos.differs(theirs, state.header) do
       nil ->
         :gen_tcp.send(tcp, TcpRos.header(state.header))
-        # A caller may only have wanted to know whether the service is there.
+        # A probe only checks whether the service exists.
         unless theirs["probe"] == "1", do: requests(tcp, state)
 
       why ->

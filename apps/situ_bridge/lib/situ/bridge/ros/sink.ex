@@ -8,26 +8,26 @@ defmodule Situ.Bridge.Ros.Sink do
               type: {:optional, :string},
               default: nil,
               doc:
-                "Its type, such as \"sensor_msgs/Imu\"; by default the standard one that fits the first message."
+                "The ROS type, such as \"sensor_msgs/Imu\". Default: the standard type that fits the first message."
             ],
             definition: [
               type: {:optional, :string},
               default: nil,
-              doc: "The type's definition (`.msg`), when it is none of ROS's own."
+              doc: "The definition (`.msg`), unless the type is a standard ROS type."
             ],
             frame: [
               type: :string,
               default: "",
-              doc: "The frame of reference that headers name."
+              doc: "The frame of reference in message headers."
             ],
             latch: [
               type: :boolean,
               default: false,
-              doc: "Who subscribes later begins with the last message."
+              doc: "Sends the last message to new subscribers."
             ]
           ] ++ Keyword.drop(Outlet.options(), [:format, :listening]) ++ Address.options()
   @moduledoc false
-  # A stream as a topic. It is published once its type is known: by the options, or by the first message.
+  # Publishes a stream as a topic as soon as its type is known from the options or from the first message.
   use Situ.Component, inputs: [in: :any], options: @schema
   alias Situ.Bridge.Mcap.Channel
   alias Situ.Bridge.Net.Server

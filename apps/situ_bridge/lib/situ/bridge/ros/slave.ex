@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Ros.Slave do
   @moduledoc false
-  # One HTTP call to a node: read, answered, closed.
+  # Handles one HTTP call to a node: reads the request, sends the response, and closes the connection.
   use GenServer, restart: :temporary
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Ros.XmlRpc
@@ -9,7 +9,7 @@ defmodule Situ.Bridge.Ros.Slave do
   @patience 10_000
   @most 1_000_000
 
-  @doc "Answers by `fun`, which gets a method and its arguments."
+  @doc "Starts a process that handles one call with `fun`, which gets a method and its arguments."
   def start_link(fun), do: GenServer.start_link(__MODULE__, fun)
 
   @impl true
@@ -38,11 +38,11 @@ defmodule Situ.Bridge.Ros.Slave do
     end
   end
 
-  # Closed, broken or too slow.
+  # The connection was closed, broken or too slow.
   def handle_info(_other, state), do: {:stop, :normal, state}
 
   @doc """
-  The body of a whole HTTP request.
+  Returns the body of a complete HTTP request.
 
       iex> Situ.Bridge.Ros.Slave.body("POST / HTTP/1.1\\r\\nContent-length: 2\\r\\n\\r\\nab")
       {:ok, "ab"}

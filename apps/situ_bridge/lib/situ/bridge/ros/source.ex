@@ -8,47 +8,48 @@ defmodule Situ.Bridge.Ros.Source do
               type: {:optional, :string},
               default: nil,
               doc:
-                "Its type, such as \"sensor_msgs/Imu\": publishers of another are refused. By default any, by " <>
-                  "their own definition."
+                "The ROS type, such as \"sensor_msgs/Imu\"; publishers with another type are refused. Default: any " <>
+                  "type, decoded with the publisher's definition."
             ],
             definition: [
               type: {:optional, :string},
               default: nil,
-              doc: "The type's definition (`.msg`), when it is none of ROS's own."
+              doc: "The definition (`.msg`), unless the type is a standard ROS type."
             ],
             times: [
               type: {:in, [:header, :arrival]},
               default: :header,
               doc:
-                "Originating times: the stamp of a message's header (on arrival where it has none), or on arrival."
+                "Originating times: the stamp in the header (the arrival time if there is none), or the arrival time."
             ],
             sim_time: [
               type: :boolean,
               default: false,
               doc:
-                "Messages without a stamp get the simulated time of the topic /clock instead of that of arrival; " <>
-                  "those before the first clock are left out."
+                "Gives messages without a stamp the simulated time of the topic /clock instead of their arrival " <>
+                  "time. Messages before the first clock message are skipped."
             ],
             high_water_mark: [
               type: :pos_integer,
               default: 1_000,
-              doc: "The most messages that are taken ahead."
+              doc: "Maximum number of messages that are read ahead."
             ],
             most: [
               type: :pos_integer,
               default: 256 * 1024 * 1024,
-              doc: "The largest message, bytes; a publisher that sends a larger one is cut off."
+              doc:
+                "Maximum message size in bytes. A publisher that sends a larger message is disconnected."
             ],
-            type: [type: :any, default: :any, doc: "Type of the stream."]
+            type: [type: :any, default: :any, doc: "The type of the stream."]
           ] ++ Codec.options() ++ Address.options()
   @moduledoc false
-  # A topic as a source that never ends.
+  # Subscribes to a topic. The source never ends.
   use Situ.Component, outputs: [out: :any], options: @schema
   alias Situ.Bridge.Inlet
   alias Situ.Bridge.Mcap.Channel
   alias Situ.Bridge.Ros.{Definition, Node, Standard, Wire}
 
-  # A stamp may be the last nanosecond of an int64.
+  # The maximum of an int64, which is the latest valid stamp.
   @latest 9_223_372_036_854_775_807
   @clock "rosgraph_msgs/Clock"
   @clock_sum "a9c97c1d230cfc112e270351a944ee47"
@@ -107,7 +108,7 @@ defmodule Situ.Bridge.Ros.Source do
     end
   end
 
-  # The clock has 8 bytes: seconds and nanoseconds.
+  # A clock message has 8 bytes: seconds and nanoseconds.
   @impl true
   def handle_info({:ros, %{"type" => @clock}, payloads}, _context, %{clock_node: node} = state)
       when node != nil do
@@ -130,7 +131,7 @@ defmodule Situ.Bridge.Ros.Source do
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  # A publisher's definition is parsed once.
+  # Parses each publisher's definition only once.
   defp known(_theirs, %{ours: ours} = state) when ours != nil, do: {{:ok, ours}, state}
 
   defp known(theirs, state) do
@@ -147,7 +148,7 @@ defmodule Situ.Bridge.Ros.Source do
             theirs["message_definition"] || ""
           )
 
-        # Publishers of a topic agree on its type: few are kept.
+        # Publishers of a topic agree on its type, so a small cache is enough.
         known = if map_size(known) < 16, do: known, else: %{}
         {definition, %{state | known: Map.put(known, key, definition)}}
     end
@@ -162,7 +163,7 @@ defmodule Situ.Bridge.Ros.Source do
     end
   end
 
-  defp timed(nil, nil, _value), do: {:error, "no /clock told the time yet"}
+  defp timed(nil, nil, _value), do: {:error, "no message on /clock has arrived yet"}
   defp timed(time, now, value), do: {:ok, {time || now, time != nil, value}}
 
   defp value(name, message, opts) do

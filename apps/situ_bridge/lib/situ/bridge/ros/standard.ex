@@ -1,21 +1,21 @@
 defmodule Situ.Bridge.Ros.Standard do
   @moduledoc """
-  The messages of ROS that Situ has types for, both ways; of their headers the stamp goes on as the time. All others
-  stay maps, and all do where a reader is asked for `messages: :maps` (covariances, frames of reference).
+  Converts between ROS messages and Situ's types. The stamp of a message's header becomes its time. Other messages stay
+  maps. With `messages: :maps`, a reader returns all messages as maps, including covariances and frames of reference.
 
   | ROS | Situ |
   |---|---|
-  | `sensor_msgs/Image` (`mono8`, `mono16`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC1`, `8UC3`, `16UC1`) | `Situ.Image`; `16UC1` is a `Situ.DepthImage` in millimetres |
+  | `sensor_msgs/Image` (`mono8`, `mono16`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC1`, `8UC3`, `16UC1`) | `Situ.Image`; `16UC1` is a `Situ.DepthImage` in millimeters |
   | `sensor_msgs/CompressedImage` (JPEG, PNG) | `Situ.EncodedImage` |
-  | `sensor_msgs/PointCloud2` (x, y, z and rgb of it) | `Situ.PointCloud` |
+  | `sensor_msgs/PointCloud2` (x, y, z, rgb and intensity) | `Situ.PointCloud` |
   | `sensor_msgs/CameraInfo` | `Situ.CameraIntrinsics` |
   | `sensor_msgs/Imu` | `Situ.ImuReading` |
-  | `sensor_msgs/NavSatFix` | `Situ.GeoPoint`; without a fix it stays a map |
+  | `sensor_msgs/NavSatFix` | `Situ.GeoPoint`; a map without a fix |
   | `sensor_msgs/JointState` | `Situ.JointState` |
-  | `tf2_msgs/TFMessage`, `tf/tfMessage` | a list of `Situ.Transform`, static ones on `/tf_static` |
+  | `tf2_msgs/TFMessage`, `tf/tfMessage` | a list of `Situ.Transform`, marked as static on `/tf_static` |
   | `geometry_msgs/TransformStamped` | `Situ.Transform` |
   | `geometry_msgs/Pose`, `PoseStamped` | `Situ.Pose` |
-  | `audio_common_msgs/AudioData` | only out, of `Situ.AudioBuffer`: it does not say what its bytes are |
+  | `audio_common_msgs/AudioData` | written from `Situ.AudioBuffer`; read as a map, because it has no format |
   | `geometry_msgs/Point`, `Point32`, `Vector3` | `Situ.Point3` |
   | `rosgraph_msgs/Clock` | the simulated time, an integer |
   | `std_msgs/String`, `Bool`, `Int8` ... `Float64` | the value |
@@ -47,7 +47,7 @@ defmodule Situ.Bridge.Ros.Standard do
 
   @trees ["tf/tfMessage", "tf2_msgs/TFMessage"]
 
-  @doc "The `Situ.Type` that messages of a ROS type become."
+  @doc "Returns the `Situ.Type` of converted messages of a ROS type."
   @spec type(String.t()) :: Situ.Type.t()
   def type("sensor_msgs/Image"), do: {:or, [Image, DepthImage, :map]}
   def type("sensor_msgs/CompressedImage"), do: {:or, [EncodedImage, :map]}
@@ -68,8 +68,8 @@ defmodule Situ.Bridge.Ros.Standard do
   def type(_), do: :map
 
   @doc """
-  A message as a struct of Situ; one with impossible values, or whose definition has a standard name but other fields,
-  stays a map. On `/tf_static` transforms are static.
+  Converts a message to a Situ type. Messages with invalid values, or with a standard name but other fields,
+  stay maps. Transforms on `/tf_static` are marked as static.
   """
   @spec from(String.t(), map(), String.t()) :: term()
   def from(name, message, topic \\ "") do
@@ -105,7 +105,7 @@ defmodule Situ.Bridge.Ros.Standard do
   defp make(number, %{"data" => value}) when number in @numbers, do: {:ok, value}
   defp make(_name, _message), do: :error
 
-  @doc "The ROS type that fits data, or `nil`."
+  @doc "Returns the ROS type that fits the data, or `nil`."
   @spec ros_type(term()) :: String.t() | nil
   def ros_type(%Image{} = image), do: if(Pixels.name(image), do: "sensor_msgs/Image")
   def ros_type(%DepthImage{}), do: "sensor_msgs/Image"
@@ -130,8 +130,8 @@ defmodule Situ.Bridge.Ros.Standard do
   def ros_type(_), do: nil
 
   @doc """
-  Data as a message of a ROS type: Situ's types become ROS's with `time` as their stamp and `frame` as the frame they
-  are in, maps stay.
+  Converts data to a message of a ROS type. Headers get `time` as the stamp and `frame` as the frame of reference. Maps
+  are used as they are.
   """
   @spec to(String.t(), term(), Situ.Time.t(), String.t()) :: map()
   def to(name, data, time, frame \\ "") do

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.TcpRos do
   @moduledoc false
-  # TCPROS (https://wiki.ros.org/ROS/TCPROS): a header of fields on both sides, then messages of a 32-bit length. A
-  # publisher is a server of this protocol, its `arg` the fields that it answers. Pure.
+  # TCPROS (https://wiki.ros.org/ROS/TCPROS): both sides send a header of fields, then messages with a 32-bit length. A
+  # publisher is a server of this protocol, and its `arg` contains the fields of its header. Pure.
   @behaviour Situ.Bridge.Net.Protocol
   alias Situ.Bridge.Net.Protocol
   alias Situ.Bridge.Tcp.Frames
@@ -9,6 +9,8 @@ defmodule Situ.Bridge.Ros.TcpRos do
   @most_header 1_000_000
 
   @doc """
+  Encodes a header.
+
       iex> alias Situ.Bridge.Ros.TcpRos
       iex> bytes = IO.iodata_to_binary(TcpRos.header(%{"topic" => "/a"}))
       iex> TcpRos.read_header(bytes <> "rest")
@@ -27,7 +29,7 @@ defmodule Situ.Bridge.Ros.TcpRos do
   @spec read_header(binary()) ::
           {:ok, %{String.t() => String.t()}, binary()} | :more | {:error, String.t()}
   def read_header(<<n::little-32, _::binary>>) when n > @most_header,
-    do: {:error, "a header of #{n} bytes"}
+    do: {:error, "the header has #{n} bytes, which is too large"}
 
   def read_header(<<n::little-32, fields::binary-size(n), rest::binary>>) do
     with {:ok, fields} <- fields(fields, %{}), do: {:ok, fields, rest}
@@ -40,13 +42,13 @@ defmodule Situ.Bridge.Ros.TcpRos do
   defp fields(<<n::little-32, line::binary-size(n), rest::binary>>, found) do
     case :binary.split(line, "=") do
       [name, value] -> fields(rest, Map.put(found, :binary.copy(name), :binary.copy(value)))
-      [_] -> {:error, "a field without ="}
+      [_] -> {:error, "a field of the header has no ="}
     end
   end
 
-  defp fields(_, _found), do: {:error, "a header whose fields do not fit into it"}
+  defp fields(_, _found), do: {:error, "a field of the header is longer than the header"}
 
-  @doc "Whether the other side means the same topic (or service) and type; `nil`, or why not."
+  @doc "Returns nil if both sides agree on the topic (or service) and type, else a sentence with the difference."
   @spec differs(%{String.t() => String.t()}, %{String.t() => String.t()}) :: String.t() | nil
   def differs(theirs, ours) do
     Enum.find_value(["topic", "service", "md5sum"], fn field ->
@@ -83,7 +85,7 @@ defmodule Situ.Bridge.Ros.TcpRos do
   @impl Protocol
   def read(bytes, %{theirs: nil} = state, most) do
     case read_header(state.rest <> bytes) do
-      {:ok, %{"error" => why}, _rest} -> {:error, "it refuses: #{inspect(why)}"}
+      {:ok, %{"error" => why}, _rest} -> {:error, "the publisher refused: #{inspect(why)}"}
       {:ok, theirs, rest} -> agreed(differs(theirs, state.fields), theirs, rest, state, most)
       :more -> {:ok, [], "", %{state | rest: state.rest <> bytes}}
       error -> error

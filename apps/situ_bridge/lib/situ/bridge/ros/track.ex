@@ -1,11 +1,11 @@
 defmodule Situ.Bridge.Ros.Track do
   @moduledoc false
-  # A track is a map with everything that a reader of bags knows about a topic.
+  # A track is a map that describes one topic for a reader of bags.
   alias Situ.Bridge.Mcap.{Codec, Extra}
 
   @doc """
-  Returns the track, and with `messages: :apart` also the track of its second stream, of the fields that Situ's types
-  have no place for.
+  Returns a list with the track. With `messages: :apart`, the list also has a track for the fields that Situ's types do
+  not cover.
   """
   @spec add_extra(map(), :situ | :maps | :apart) :: [map()]
   def add_extra(%{codec: codec, situ: situ} = track, :apart) do

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Ros.Wire do
   @moduledoc """
-  Messages of any ROS type as bytes and back: ROS 1's serialisation (`:ros1`) and ROS 2's, CDR (`:cdr`).
+  Encodes and decodes messages of any ROS type, in ROS 1's serialization (`:ros1`) or ROS 2's CDR (`:cdr`).
 
       iex> alias Situ.Bridge.Ros.{Definition, Wire}
       iex> {:ok, definition} = Definition.parse("my/Reading", "string name\\nfloat32[] values\\ntime at")
@@ -8,24 +8,24 @@ defmodule Situ.Bridge.Ros.Wire do
       iex> Wire.decode(definition, bytes, :ros1)
       {:ok, %{"name" => "a", "values" => [1.5], "at" => 1_000_000_002}}
 
-  A message is a map with string keys. Times and durations are nanoseconds; lists of bytes are binaries, other lists
-  lists; NaN and infinities are atoms. Members that are missing when a message is written are zero, empty or false.
+  A message is a map with string keys. Times and durations are in nanoseconds. Lists of bytes are binaries; NaN and
+  infinities are atoms. When a message is encoded, missing fields are zero, empty or false.
 
-  Reading is bounded by the bytes there are. CDR is read in both byte orders and written little-endian, with the
-  alignment of version 1 (what ROS 2 uses).
+  Decoding never allocates more than the input justifies. CDR is read in both byte orders and written in little-endian
+  order, with the alignment of version 1, which ROS 2 uses.
   """
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Ros.{Definition, Number}
 
   @type encoding :: :ros1 | :cdr
 
-  # {bytes, offset from where alignment counts, encoding, byte order}
+  # `at` is the offset from the position where alignment starts.
   defmodule Cursor do
     @moduledoc false
     defstruct [:bytes, :encoding, at: 0, order: :little]
   end
 
-  @doc "The message in `bytes`, or why there is none."
+  @doc "Decodes the message in `bytes`. Returns a sentence with the reason if that fails."
   @spec decode(Definition.t(), binary(), encoding()) :: {:ok, map()} | {:error, String.t()}
   def decode(definition, bytes, encoding) do
     {value, _cursor} = message(definition.name, definition.types, cursor(bytes, encoding))
@@ -41,13 +41,13 @@ defmodule Situ.Bridge.Ros.Wire do
     do: %Cursor{bytes: rest, encoding: :cdr, order: :big}
 
   defp cursor(<<_, kind, _::binary>>, :cdr),
-    do: fail("an encapsulation of the kind #{kind}, where CDR version 1 is read")
+    do: fail("the CDR encapsulation has the kind #{kind}, but only version 1 can be read")
 
-  defp cursor(_, :cdr), do: fail("it is too short for CDR")
+  defp cursor(_, :cdr), do: fail("the data is too short for CDR")
 
   defp fail(why), do: throw({:not_ros, why})
 
-  # ROS 2 has its times as messages.
+  # In ROS 2, times are messages.
   defp message(name, _types, cursor)
        when name in ["builtin_interfaces/Time", "builtin_interfaces/Duration"],
        do: stamp(cursor, :int32)
@@ -76,7 +76,7 @@ defmodule Situ.Bridge.Ros.Wire do
     {:binary.copy(text), cursor}
   end
 
-  # With a zero behind it that counts.
+  # In CDR, the length includes a terminating zero.
   defp value(:string, _types, cursor) do
     {n, cursor} = number(:uint32, cursor)
     {text, cursor} = take(n, cursor)
@@ -90,7 +90,7 @@ defmodule Situ.Bridge.Ros.Wire do
 
     case :unicode.characters_to_binary(text, order) do
       text when is_binary(text) -> {text, cursor}
-      _ -> fail("a wide string that is none")
+      _ -> fail("a wide string is not valid UTF-16")
     end
   end
 
@@ -117,7 +117,7 @@ defmodule Situ.Bridge.Ros.Wire do
     end
   end
 
-  # An empty list has no elements that would have to be aligned.
+  # CDR writes no alignment padding for an empty list.
   defp numbers(0, type, _size, cursor), do: {Number.read_all(type, "", cursor.order), cursor}
 
   defp numbers(n, type, size, cursor) do
@@ -125,9 +125,9 @@ defmodule Situ.Bridge.Ros.Wire do
     {Number.read_all(type, bytes, cursor.order), cursor}
   end
 
-  # Elements take a byte at least; messages without fields are nobody's lists.
+  # Rejects impossible lengths: an element takes at least one byte. Lists of messages without fields are not supported.
   defp each(n, _type, _types, cursor) when n > byte_size(cursor.bytes),
-    do: fail("a list of #{n} in #{byte_size(cursor.bytes)} bytes")
+    do: fail("a list of #{n} elements does not fit into #{byte_size(cursor.bytes)} bytes")
 
   defp each(n, type, types, cursor),
     do: Enum.map_reduce(1..n//1, cursor, fn _, cursor -> value(type, types, cursor) end)
@@ -153,11 +153,11 @@ defmodule Situ.Bridge.Ros.Wire do
         {taken, %{cursor | bytes: rest, at: cursor.at + n}}
 
       bytes ->
-        fail("it ends after #{cursor.at + byte_size(bytes)} bytes, within a field")
+        fail("the data ends after #{cursor.at + byte_size(bytes)} bytes, within a field")
     end
   end
 
-  @doc "The message as bytes. Error: what cannot be written."
+  @doc "Encodes a message. Returns a sentence with the value that does not fit if that fails."
   @spec encode(Definition.t(), map(), encoding()) :: {:ok, binary()} | {:error, String.t()}
   def encode(definition, message, encoding) do
     {parts, _at} = put_message(definition.name, definition.types, message, {[], 0}, encoding)

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.XmlRpc do
   @moduledoc false
-  # XML-RPC (http://xmlrpc.com/spec.md), as ROS's master and nodes speak it. Reading makes no atoms, follows no entities
-  # but the five of XML, and is bounded by the bytes there are. Pure, but for `call/4`.
+  # Speaks XML-RPC (http://xmlrpc.com/spec.md) with ROS's master and nodes. Parsing creates no atoms, resolves only the
+  # five entities of XML, and is bounded by the size of the input. Pure, except for `call/4`.
   alias Situ.Error
 
   @type value ::
@@ -16,14 +16,14 @@ defmodule Situ.Bridge.Ros.XmlRpc do
 
   @deepest 64
 
-  @doc "The document of a call."
+  @doc "Encodes the document of a call."
   @spec request(String.t(), [value()]) :: iodata()
   def request(method, arguments) do
     [~s(<?xml version="1.0"?><methodCall><methodName>), method, "</methodName><params>"] ++
       [for(a <- arguments, do: ["<param>", write(a), "</param>"]), "</params></methodCall>"]
   end
 
-  @doc "The document of an answer."
+  @doc "Encodes the document of a response."
   @spec response(value()) :: iodata()
   def response(value),
     do: [
@@ -61,7 +61,7 @@ defmodule Situ.Bridge.Ros.XmlRpc do
   end
 
   @doc """
-  The method and the arguments of a call.
+  Parses the document of a call and returns its method and arguments.
 
       iex> alias Situ.Bridge.Ros.XmlRpc
       iex> XmlRpc.read_request(IO.iodata_to_binary(XmlRpc.request("getPid", ["/me", [1, %{"a" => true}]])))
@@ -74,45 +74,46 @@ defmodule Situ.Bridge.Ros.XmlRpc do
       {:ok, String.trim(method), params(rest)}
     else
       {:error, why} -> {:error, why}
-      _ -> {:error, "it is no call"}
+      _ -> {:error, "the document is not a call"}
     end
   catch
     {:not_xml_rpc, why} -> {:error, why}
   end
 
-  @doc "The value of an answer; a fault is an error."
+  @doc "Parses the document of a response and returns its value. A fault is an error."
   @spec read_response(binary()) :: {:ok, value()} | {:error, String.t()}
   def read_response(document) do
     with {:ok, {"methodResponse", children}} <- tree(document) do
       case elements(children) do
         [{"fault", fault} | _] ->
-          {:error, "it refuses: #{inspect(params([{"params", [{"param", fault}]}]), limit: 20)}"}
+          {:error,
+           "the server refused: #{inspect(params([{"params", [{"param", fault}]}]), limit: 20)}"}
 
         children ->
           answer(params(children))
       end
     else
       {:error, why} -> {:error, why}
-      _ -> {:error, "it is no answer"}
+      _ -> {:error, "the document is not a response"}
     end
   catch
     {:not_xml_rpc, why} -> {:error, why}
   end
 
   defp answer([value]), do: {:ok, value}
-  defp answer(_), do: {:error, "it has no value"}
+  defp answer(_), do: {:error, "the response does not have exactly one value"}
 
   defp params([{"params", params}]) do
     for {"param", children} <- params do
       case elements(children) do
         [value] -> value(value)
-        _ -> fail("a parameter without a value")
+        _ -> fail("a parameter does not have exactly one value")
       end
     end
   end
 
   defp params([]), do: []
-  defp params(_), do: fail("it has no params")
+  defp params(_), do: fail("the document has no params")
 
   defp value({"value", []}), do: ""
   defp value({"value", [text]}) when is_binary(text), do: text
@@ -120,23 +121,23 @@ defmodule Situ.Bridge.Ros.XmlRpc do
   defp value({"value", children}) do
     case Enum.reject(children, &(is_binary(&1) and String.trim(&1) == "")) do
       [typed] -> typed(typed)
-      _ -> fail("a value that is none")
+      _ -> fail("a value does not have exactly one element")
     end
   end
 
-  defp value(_other), do: fail("something else where a value should be")
+  defp value(_other), do: fail("an element is not a value")
 
   defp typed({int, [text]}) when int in ["int", "i4", "i8"] and is_binary(text) do
     case Integer.parse(String.trim(text)) do
       {n, ""} -> n
-      _ -> fail("an integer that is none")
+      _ -> fail("an integer is invalid")
     end
   end
 
   defp typed({"double", [text]}) when is_binary(text) do
     case Float.parse(String.trim(text)) do
       {x, ""} -> x
-      _ -> fail("a number that is none")
+      _ -> fail("a floating-point number is invalid")
     end
   end
 
@@ -150,14 +151,14 @@ defmodule Situ.Bridge.Ros.XmlRpc do
          |> Enum.join()
          |> Base.decode64(ignore: :whitespace) do
       {:ok, bytes} -> {:bytes, bytes}
-      :error -> fail("base64 that is none")
+      :error -> fail("base64 data is invalid")
     end
   end
 
   defp typed({"array", children}) do
     case elements(children) do
       [{"data", values}] -> Enum.map(elements(values), &value/1)
-      _ -> fail("an array without data")
+      _ -> fail("an array has no data")
     end
   end
 
@@ -168,18 +169,18 @@ defmodule Situ.Bridge.Ros.XmlRpc do
           {name |> Enum.filter(&is_binary/1) |> Enum.join(), value(value)}
 
         _ ->
-          fail("a member that is none")
+          fail("a member of a struct does not have a name and a value")
       end
     end
   end
 
   defp typed(text) when is_binary(text), do: text
-  defp typed({name, _}), do: fail("a value of the type #{inspect(name)}")
+  defp typed({name, _}), do: fail("a value has the unknown type #{inspect(name)}")
 
   defp elements(children), do: Enum.reject(children, &is_binary/1)
   defp fail(why), do: throw({:not_xml_rpc, why})
 
-  # Elements as `{name, children}`; a declaration and comments are passed over.
+  # Parses elements as `{name, children}`. The declaration and comments are skipped.
 
   defp tree(document) do
     text = Regex.replace(~r/<\?.*?\?>|<!--.*?-->/s, document, "")
@@ -188,7 +189,7 @@ defmodule Situ.Bridge.Ros.XmlRpc do
       {element, rest} ->
         if String.trim(rest) == "",
           do: {:ok, element},
-          else: {:error, "it goes on behind its end"}
+          else: {:error, "the document has text after its last element"}
     end
   catch
     {:not_xml_rpc, why} -> {:error, why}
@@ -196,7 +197,7 @@ defmodule Situ.Bridge.Ros.XmlRpc do
 
   @open ~r/\A<([A-Za-z0-9]{1,40})\s*(\/?)>/
 
-  defp element(_text, depth) when depth > @deepest, do: fail("it is nested too deeply")
+  defp element(_text, depth) when depth > @deepest, do: fail("the document is nested too deeply")
 
   defp element(text, depth) do
     case Regex.run(@open, text, return: :index) do
@@ -206,7 +207,7 @@ defmodule Situ.Bridge.Ros.XmlRpc do
         if closed == 1, do: {{name, []}, rest}, else: children(rest, name, depth, [])
 
       _ ->
-        fail("it is not XML as XML-RPC has it")
+        fail("the document is not valid XML-RPC")
     end
   end
 
@@ -215,13 +216,13 @@ defmodule Situ.Bridge.Ros.XmlRpc do
       ["", <<"/", _::binary>>] -> {{name, Enum.reverse(found)}, closed(text, name)}
       ["", _] -> text |> element(depth + 1) |> next(name, depth, found)
       [words, rest] -> children("<" <> rest, name, depth, word(words, found))
-      [_] -> fail("it is cut short")
+      [_] -> fail("the document is cut short")
     end
   end
 
   defp next({child, rest}, name, depth, found), do: children(rest, name, depth, [child | found])
 
-  # Between elements of a structure there are only spaces.
+  # Between the elements of a structure there is only whitespace.
   defp word(words, found) do
     if found != [] and String.trim(words) == "", do: found, else: [unescaped(words) | found]
   end
@@ -229,7 +230,7 @@ defmodule Situ.Bridge.Ros.XmlRpc do
   defp closed(text, name) do
     case Regex.run(~r/\A<\/([A-Za-z0-9]+)\s*>/, text) do
       [all, ^name] -> binary_part(text, byte_size(all), byte_size(text) - byte_size(all))
-      _ -> fail("#{name} is not closed")
+      _ -> fail("the element #{name} is not closed")
     end
   end
 
@@ -239,7 +240,7 @@ defmodule Situ.Bridge.Ros.XmlRpc do
     end)
   end
 
-  @doc "Calls a method of a server and answers its value. Error: `:ros_unreachable`, or `:ros_refused`."
+  @doc "Calls a method of a server and returns its value. Errors: `:ros_unreachable`, `:ros_refused`."
   @spec call(String.t(), String.t(), [value()], timeout :: pos_integer()) ::
           {:ok, value()} | {:error, Error.t()}
   def call(uri, method, arguments, timeout \\ 3_000) do
@@ -263,9 +264,9 @@ defmodule Situ.Bridge.Ros.XmlRpc do
     do: Error.new(:ros_refused, "#{uri} refused #{method}", why: why)
 
   defp unreachable(uri, reason) do
-    Error.new(:ros_unreachable, "no answer from #{uri}",
+    Error.new(:ros_unreachable, "no response from #{uri}",
       why: inspect(reason, limit: 10),
-      fix: "start it (`rosmaster --core`), or say where it is: master:, or ROS_MASTER_URI"
+      fix: "start it (`rosmaster --core`), or give its address with `master:` or ROS_MASTER_URI"
     )
   end
 end

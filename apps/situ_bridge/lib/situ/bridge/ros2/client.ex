@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Ros2.Client do
   @moduledoc false
-  # One who calls a service: a node of ROS 2 with a Zenoh session of its own.
+  # Calls a ROS 2 service. Each client is a node with a separate Zenoh session.
   use GenServer
   alias Situ.Bridge.Ros.{Definition, Wire}
   alias Situ.Bridge.Ros2.{Keys, TypeHash, Zenoh}
@@ -8,11 +8,11 @@ defmodule Situ.Bridge.Ros2.Client do
 
   @node 0
   @token 1
-  # Ids of requests follow.
+  # Requests have the ids from here on.
   @first 16
   @last 0xFFFFFFFF
 
-  @doc "Calls once."
+  @doc "Calls a service once with a temporary client."
   def call(service, type, text, request, opts) do
     {timeout, opts} = Keyword.pop(opts, :timeout, 5_000)
 
@@ -23,7 +23,7 @@ defmodule Situ.Bridge.Ros2.Client do
     end
   end
 
-  @doc "Ends a client or a server, also one that has ended meanwhile."
+  @doc "Stops a client or a server. Does nothing if it has already ended."
   @spec stop(pid()) :: :ok
   def stop(pid) do
     GenServer.stop(pid)
@@ -39,7 +39,7 @@ defmodule Situ.Bridge.Ros2.Client do
          do: GenServer.start_link(__MODULE__, Map.merge(about, %{opts: opts, program: program}))
   end
 
-  @doc "Both sides of a service know this: its name, types and key."
+  @doc "Returns the name, types and hash of a service, which its client and server share."
   @spec about(String.t(), String.t(), String.t()) :: {:ok, map()} | {:error, Error.t()}
   def about(service, type, text) do
     with {:ok, type} <- type_name(type),
@@ -50,9 +50,9 @@ defmodule Situ.Bridge.Ros2.Client do
     else
       {:error, why} ->
         {:error,
-         Error.new(:bad_definition, "the definition of #{type} cannot be used",
+         Error.new(:bad_definition, "the definition of #{type} is invalid",
            why: why,
-           fix: "give the type as \"package/srv/Name\", and the text of its .srv"
+           fix: "give the type as \"package/srv/Name\" and the text of its .srv file"
          )}
     end
   end
@@ -60,7 +60,7 @@ defmodule Situ.Bridge.Ros2.Client do
   defp type_name(type) do
     if Regex.match?(~r/\A\w+\/(srv\/)?\w+\z/, type),
       do: {:ok, Definition.plain(type)},
-      else: {:error, "#{inspect(type)} is no name of a type"}
+      else: {:error, "#{inspect(type)} is not a type name"}
   end
 
   @spec ask(pid(), map(), pos_integer()) :: {:ok, map()} | {:error, Error.t()}
@@ -98,7 +98,7 @@ defmodule Situ.Bridge.Ros2.Client do
       else: %{state | waiting: [{id, bytes, timeout} | state.waiting]}
   end
 
-  # Zenoh waits a little longer than the caller: the caller's own clock decides.
+  # Zenoh waits a little longer than the caller, so that the caller's timer decides.
   defp send_off(%{opts: opts} = state, {id, bytes, timeout}) do
     state = %{state | sequence: state.sequence + 1}
     key = Keys.service(opts[:domain], state.name, state.type, state.hash)
@@ -121,17 +121,17 @@ defmodule Situ.Bridge.Ros2.Client do
     {what, fix} =
       if state.up?,
         do:
-          {"the service #{state.name} did not answer",
-           "give it more time with `timeout:`, or look after its server"},
+          {"the service #{state.name} did not respond",
+           "give it more time with `timeout:`, or check its server"},
         else:
           {"no router at #{state.opts[:router]}",
-           "start `rmw_zenohd`, or name another with `router:`"}
+           "start `rmw_zenohd`, or name another router with `router:`"}
 
     error = Error.new(:ros_unreachable, what, why: "after #{timeout} ms", fix: fix)
     {:noreply, answered(state, id, {:error, error})}
   end
 
-  # The port ends when it is closed; who started the client may end.
+  # The port exits when it is closed. If the process that started the client exits, the client exits too.
   def handle_info({:EXIT, from, reason}, state) when is_pid(from), do: {:stop, reason, state}
   def handle_info(_other, state), do: {:noreply, state}
 
@@ -146,28 +146,32 @@ defmodule Situ.Bridge.Ros2.Client do
   defp heard({:answer, id, _attachment, payload}, state) do
     answer =
       with {:error, why} <- Wire.decode(state.definition.response, payload, :cdr),
-           do: {:error, refused("the answer of #{state.name} cannot be read", why)}
+           do: {:error, refused("the response of #{state.name} cannot be decoded", why)}
 
     answered(state, id, answer)
   end
 
   defp heard({:refusal, id, why}, state),
     do:
-      answered(state, id, {:error, refused("the service #{state.name} refused", printable(why))})
+      answered(
+        state,
+        id,
+        {:error, refused("the service #{state.name} refused the call", printable(why))}
+      )
 
-  # Who was answered is no longer asked.
+  # This frame ends a query. If the request is still open, no server has replied.
   defp heard({:answered, id}, state) do
     error =
-      Error.new(:ros_refused, "nobody offers the service #{state.name}",
-        why: "as #{state.type}, #{state.hash}",
-        fix: "start its server, or mend the definition: both sides must mean the same type"
+      Error.new(:ros_refused, "no server offers the service #{state.name}",
+        why: "the client uses #{state.type}, #{state.hash}",
+        fix: "start the server, or correct the definition: both sides must use the same type"
       )
 
     answered(state, id, {:error, error})
   end
 
   defp heard({:trouble, id, why}, state),
-    do: answered(state, id, {:error, refused("Zenoh cannot ask #{state.name}", printable(why))})
+    do: answered(state, id, {:error, refused("Zenoh cannot call #{state.name}", printable(why))})
 
   defp heard(_other, state), do: state
 

@@ -1,10 +1,10 @@
 defmodule Situ.Bridge.Ros2.Keys do
   @moduledoc false
-  # The names of topics and of those who use them on Zenoh, as `rmw_zenoh` has them. Pure.
+  # Builds and parses the Zenoh keys and tokens of topics, services and nodes, in the format of `rmw_zenoh`. Pure.
   alias Situ.Bridge.Ros.Definition
 
   @doc """
-  The key of a topic's messages; without a type, all of the topic's.
+  Returns the key of a topic's messages. Without a type, the key matches all types of the topic.
 
       iex> Situ.Bridge.Ros2.Keys.topic(0, "/chatter", "std_msgs/String", "RIHS01_x")
       "0/chatter/std_msgs::msg::dds_::String_/RIHS01_x"
@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Ros2.Keys do
       "#{domain}/#{String.trim_leading(topic, "/")}/#{if type, do: dds(type), else: "*"}/#{hash || "*"}"
 
   @doc """
-  The key at which a service is asked.
+  Returns the key for queries to a service.
 
       iex> Situ.Bridge.Ros2.Keys.service(0, "/add", "example_interfaces/srv/AddTwoInts", "RIHS01_x")
       "0/add/example_interfaces::srv::dds_::AddTwoInts_/RIHS01_x"
@@ -27,7 +27,7 @@ defmodule Situ.Bridge.Ros2.Keys do
     do: "#{domain}/#{String.trim_leading(service, "/")}/#{dds(type, "srv")}/#{hash}"
 
   @doc """
-  A type's name in keys.
+  Returns the name of a type in keys.
 
       iex> Situ.Bridge.Ros2.Keys.dds("std_msgs/msg/String")
       "std_msgs::msg::dds_::String_"
@@ -39,7 +39,7 @@ defmodule Situ.Bridge.Ros2.Keys do
   end
 
   @doc """
-  The type that a key names.
+  Returns the type in a key.
 
       iex> Situ.Bridge.Ros2.Keys.type("0/chatter/std_msgs::msg::dds_::String_/RIHS01_x")
       {:ok, "std_msgs/String"}
@@ -57,13 +57,13 @@ defmodule Situ.Bridge.Ros2.Keys do
     end
   end
 
-  @doc "The token by which a node is seen."
+  @doc "Returns the liveliness token of a node."
   @spec node(non_neg_integer(), String.t(), String.t()) :: String.t()
   def node(domain, session, name), do: "@ros2_lv/#{domain}/#{session}/0/0/NN/%/%/#{mangled(name)}"
 
   @doc """
-  The token by which an end of a topic, or of a service, is seen. A topic with a depth keeps that many messages for
-  those who come later (durability TRANSIENT_LOCAL).
+  Returns the liveliness token of a publisher, subscriber, server or client. A topic with a depth keeps that many
+  messages for later subscribers (durability TRANSIENT_LOCAL).
   """
   @spec token(
           :publisher | :subscriber | :server | :client,
@@ -85,25 +85,25 @@ defmodule Situ.Bridge.Ros2.Keys do
   defp kind(:server), do: "SS"
   defp kind(:client), do: "SC"
 
-  # Of what is the default nothing is said: reliable, volatile, the last 10.
+  # Default settings are omitted: reliable, volatile, depth 10.
   defp qos(nil), do: "::,10:,:,:,,"
   defp qos(depth), do: ":1:,#{depth}:,:,:,,"
 
   defp mangled(name), do: name |> String.trim_leading("/") |> String.replace("/", "%")
 
-  @doc "The attachment of a message: its number, its time, and who sent it."
+  @doc "Builds the attachment of a message: its sequence number, its time, and the id of the sender."
   @spec attachment(non_neg_integer(), Situ.Time.t(), <<_::128>>) :: binary()
   def attachment(sequence, time, gid),
     do: <<sequence::little-64, time::little-signed-64, 16, gid::binary>>
 
-  @doc "The attachment of an answer to a request with this one; `:error` if that is none."
+  @doc "Builds the attachment of a response from the request's attachment, or returns `:error` if that is invalid."
   @spec reply(binary(), Situ.Time.t()) :: {:ok, binary()} | :error
   def reply(<<sequence::little-64, _time::64, 16, gid::binary-size(16), _::binary>>, time),
     do: {:ok, attachment(sequence, time, gid)}
 
   def reply(_other, _time), do: :error
 
-  @doc "The time of an attachment, or `nil`."
+  @doc "Returns the time of an attachment, or `nil`."
   @spec time(binary()) :: Situ.Time.t() | nil
   def time(<<_sequence::64, time::little-signed-64, _::binary>>) when time > 0, do: time
   def time(_), do: nil

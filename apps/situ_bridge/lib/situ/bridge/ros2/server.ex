@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Ros2.Server do
   @moduledoc false
-  # A service that is offered: a node of ROS 2 with a Zenoh session of its own, and a process for each request.
+  # Offers a ROS 2 service. The server is a node with a separate Zenoh session, and runs a process for each request.
   use GenServer
   require Logger
   alias Situ.Bridge.Ros.Wire
@@ -34,7 +34,7 @@ defmodule Situ.Bridge.Ros2.Server do
       {:error,
        Error.new(:ros_unreachable, "no router at #{opts[:router]}",
          why: "after #{timeout} ms",
-         fix: "start `rmw_zenohd`, or name another with `router:`"
+         fix: "start `rmw_zenohd`, or name another router with `router:`"
        )}
     end
   end
@@ -58,9 +58,9 @@ defmodule Situ.Bridge.Ros2.Server do
   def handle_info({port, {:data, frame}}, %{port: port} = state),
     do: {:noreply, frame |> Zenoh.read() |> heard(state)}
 
-  # Whoever asked is told by Zenoh that nobody answers.
+  # Callers whose requests are lost get an error from Zenoh.
   def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
-    Logger.warning("zenoh_port ended with status #{status}; it is started again")
+    Logger.warning("zenoh_port ended with status #{status}; restarting it")
     Process.send_after(self(), :again, @again)
     {:noreply, %{state | port: nil, up?: false, at_work: %{}}}
   end
@@ -78,7 +78,7 @@ defmodule Situ.Bridge.Ros2.Server do
   end
 
   def handle_info({:EXIT, from, reason}, state) when is_pid(from) do
-    # A worker of a program that is gone has nobody to tell.
+    # The result of a worker from before a restart is dropped, because its request no longer exists.
     if reason == :normal or match?({:answer, _}, reason),
       do: {:noreply, state},
       else: {:stop, reason, state}
@@ -87,7 +87,7 @@ defmodule Situ.Bridge.Ros2.Server do
   def handle_info(_other, state), do: {:noreply, state}
 
   defp result({:answer, answer}), do: answer
-  defp result(reason), do: {:error, "it failed: #{inspect(reason, limit: 20)}"}
+  defp result(reason), do: {:error, "the server failed: #{inspect(reason, limit: 20)}"}
 
   defp answer(state, request, attachment, {:ok, bytes}),
     do: Zenoh.answer(state.port, @service, request, {:ok, attachment, bytes})
@@ -111,7 +111,9 @@ defmodule Situ.Bridge.Ros2.Server do
         %{state | at_work: Map.put(state.at_work, worker, {request, attachment})}
 
       :error ->
-        why = "a request of ROS 2 has an attachment: its number, its time, and who asks"
+        why =
+          "a ROS 2 request must have an attachment with its number, its time and the id of the client"
+
         Zenoh.answer(state.port, @service, request, {:error, why})
         state
     end

@@ -1,8 +1,8 @@
 defmodule Situ.Bridge.Ros2.Session do
   @moduledoc false
-  # One end of a topic as a node of ROS 2: the program `zenoh_port` beside, which has the Zenoh session. Should it end,
-  # it is started again. Samples go to the owner, as `{:ros2, [{key, attachment, payload}]}`, counted by `untaken`:
-  # beyond the high-water mark samples are left out.
+  # A ROS 2 node for one end of a topic. It runs the program `zenoh_port`, which has the Zenoh session, and restarts the
+  # program if it ends. The owner receives each sample as `{:ros2, {key, attachment, payload}}`. `untaken` counts the
+  # samples that the owner has not yet handled; samples beyond the high-water mark are dropped.
   use GenServer, restart: :temporary
   require Logger
   alias Situ.Bridge.Net.Linger
@@ -29,8 +29,9 @@ defmodule Situ.Bridge.Ros2.Session do
   ]
 
   @doc """
-  Starts it for the calling process. `opts`: `role`, `router`, `domain`, `node`, `topic`, `type` and `hash` (or `nil`),
-  `depth` (of a latched topic, or `nil`), `high_water_mark` and, of a subscriber, `untaken`. Error: `:no_zenoh_port`.
+  Starts a session for the calling process. `opts`: `role`, `router`, `domain`, `node`, `topic`, `type` and `hash` (or
+  `nil`), `depth` (for a latched topic, or `nil`), `high_water_mark` and, for a subscriber, `untaken`. Error:
+  `:no_zenoh_port`.
   """
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(opts) do
@@ -47,7 +48,7 @@ defmodule Situ.Bridge.Ros2.Session do
   @impl Outlet
   defdelegate close(session, timeout), to: Linger
 
-  @doc "Ends it."
+  @doc "Stops the session. Does nothing if it has already ended."
   @spec stop(pid()) :: :ok
   def stop(session) do
     GenServer.stop(session, :normal, 10_000)
@@ -91,7 +92,7 @@ defmodule Situ.Bridge.Ros2.Session do
     do: {:noreply, frame |> Zenoh.read() |> heard(state)}
 
   def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
-    Logger.warning("zenoh_port ended with status #{status}; it is started again")
+    Logger.warning("zenoh_port ended with status #{status}; restarting it")
     Process.send_after(self(), :again, @again)
     {:noreply, %{state | port: nil, up?: false}}
   end
@@ -101,7 +102,7 @@ defmodule Situ.Bridge.Ros2.Session do
   def handle_info({:EXIT, owner, reason}, %{owner: owner} = state), do: {:stop, reason, state}
   def handle_info(_other, state), do: {:noreply, state}
 
-  # It is open: now it is told what to do.
+  # The session is open, so the node and its topic can be declared.
   defp heard({:open, session}, %{opts: opts, port: port} = state) do
     {domain, topic, type, depth} = {opts[:domain], opts[:topic], opts[:type], opts[:depth]}
     key = Keys.topic(domain, topic, type, opts[:hash])

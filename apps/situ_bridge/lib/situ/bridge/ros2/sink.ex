@@ -4,18 +4,18 @@ defmodule Situ.Bridge.Ros2.Sink do
 
   @schema [
             topic: [type: :string, required: true, doc: "The topic."],
-            frame: [type: :string, default: "", doc: "The frame of reference that headers name."],
+            frame: [type: :string, default: "", doc: "The frame of reference in message headers."],
             latch: [
               type: :boolean,
               default: false,
               doc:
-                "Who subscribes later begins with the last messages (durability TRANSIENT_LOCAL), as long as the " <>
-                  "stream has not ended."
+                "Sends the last messages to new subscribers (durability TRANSIENT_LOCAL), until the stream ends. " <>
+                  "See `depth:` for their number."
             ]
           ] ++
             Source.common() ++ Keyword.drop(Outlet.options(), [:format, :listening, :wait_for])
   @moduledoc false
-  # A stream as a topic. It is published once its type is known: by the options, or by the first message.
+  # Publishes a stream as a topic as soon as its type is known from the options or from the first message.
   use Situ.Component, inputs: [in: :any], options: @schema
   alias Situ.Bridge.Mcap.Channel
   alias Situ.Bridge.Ros2.{Session, TypeHash, Zenoh}

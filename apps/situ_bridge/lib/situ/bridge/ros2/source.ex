@@ -2,23 +2,23 @@ defmodule Situ.Bridge.Ros2.Source do
   alias Situ.Bridge.Mcap.Codec
   alias Situ.Bridge.Ros2.Zenoh
 
-  # The options that a source and a sink have.
+  # Options shared by sources and sinks.
   @common Zenoh.options() ++
             [
               ros_type: [
                 type: {:optional, :string},
                 default: nil,
-                doc: "Its type, such as \"sensor_msgs/msg/Imu\"."
+                doc: "The ROS type, such as \"sensor_msgs/msg/Imu\"."
               ],
               definition: [
                 type: {:optional, :string},
                 default: nil,
-                doc: "The type's definition (`.msg`), when it is none of ROS's own."
+                doc: "The definition (`.msg`), unless the type is a standard ROS type."
               ],
               depth: [
                 type: {:integer, 1, 1_000_000},
                 default: 1,
-                doc: "Of how many messages `latch:` speaks (ROS's depth)."
+                doc: "Number of messages that `latch:` keeps (ROS's depth)."
               ]
             ]
   @schema [
@@ -27,24 +27,24 @@ defmodule Situ.Bridge.Ros2.Source do
               type: {:in, [:header, :sender, :arrival]},
               default: :header,
               doc:
-                "Originating times: the stamp of a message's header (the sender's time where it has none), when it " <>
-                  "was sent, or on arrival."
+                "Originating times: the stamp in the header (the sending time if there is none), the sending time, " <>
+                  "or the arrival time."
             ],
             high_water_mark: [
               type: :pos_integer,
               default: 1_000,
-              doc: "The most messages that are taken ahead."
+              doc: "Maximum number of messages that are read ahead."
             ],
             latch: [
               type: :boolean,
               default: false,
               doc:
-                "Also the last messages of before, of publishers that keep them (durability TRANSIENT_LOCAL)."
+                "Also receives the last messages sent before, if the publisher keeps them (durability TRANSIENT_LOCAL)."
             ],
-            type: [type: :any, default: :any, doc: "Type of the stream."]
+            type: [type: :any, default: :any, doc: "The type of the stream."]
           ] ++ @common ++ Codec.options()
   @moduledoc false
-  # A topic as a source that never ends.
+  # Subscribes to a topic. The source never ends.
   use Situ.Component, outputs: [out: :any], options: @schema
   alias Situ.Bridge.Inlet
   alias Situ.Bridge.Ros.{Definition, Library, Standard, Wire}
@@ -53,7 +53,7 @@ defmodule Situ.Bridge.Ros2.Source do
   def schema, do: @schema
   def common, do: @common
 
-  @doc "The depth that a session is told, by `latch:` and `depth:`."
+  @doc "Returns the depth of the session according to `latch:` and `depth:`, or nil."
   def depth(opts), do: if(opts[:latch], do: opts[:depth])
 
   @impl true
@@ -73,7 +73,7 @@ defmodule Situ.Bridge.Ros2.Source do
     {[{:complete, :infinity}], %{state | session: session, known: known}}
   end
 
-  # A type that is named is the only one.
+  # If the options name a type, only that type is accepted.
   defp expected(opts) do
     if opts[:ros_type] do
       type = Definition.plain(opts[:ros_type])
@@ -83,9 +83,9 @@ defmodule Situ.Bridge.Ros2.Source do
           {%{type => {:ok, definition}}, [type: type, hash: TypeHash.of(definition)]}
 
         {:error, why} ->
-          raise Situ.Error.new(:bad_definition, "the type #{type} cannot be used",
+          raise Situ.Error.new(:bad_definition, "the definition of #{type} is invalid",
                   why: why,
-                  fix: "give its text with `definition:`"
+                  fix: "give its definition with `definition:`"
                 )
       end
     else
@@ -97,7 +97,7 @@ defmodule Situ.Bridge.Ros2.Source do
   def definition(type, nil) do
     case Library.fetch(type, :ros2) do
       {:ok, text} -> Definition.parse(type, text, :ros2)
-      :error -> {:error, "it is none of ROS's own"}
+      :error -> {:error, "it is not a standard ROS type"}
     end
   end
 
@@ -114,7 +114,7 @@ defmodule Situ.Bridge.Ros2.Source do
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  defp known(:error, state), do: {{:error, "its key names no type"}, state}
+  defp known(:error, state), do: {{:error, "the key of the message contains no type"}, state}
 
   defp known({:ok, type}, %{known: known} = state) do
     case known do
@@ -123,7 +123,7 @@ defmodule Situ.Bridge.Ros2.Source do
 
       _ ->
         definition = definition(type, state.opts[:definition])
-        # A topic has one type: few are kept.
+        # A topic has one type, so a small cache is enough.
         known = if map_size(known) < 16, do: known, else: %{}
         {definition, %{state | known: Map.put(known, type, definition)}}
     end

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros2.TypeHash do
   @moduledoc false
-  # The sum by which ROS 2 tells whether two sides mean the same type (REP 2016, "RIHS01"): SHA-256 of a description of
-  # the type and of all that it is made of. Pure.
+  # Computes the hash with which ROS 2 checks that both sides use the same type (REP 2016, "RIHS01"): the SHA-256 of a
+  # description of the type and of all the types that it contains. Pure.
   alias Situ.Bridge.Ros.Definition
 
   @ids %{
@@ -20,11 +20,11 @@ defmodule Situ.Bridge.Ros2.TypeHash do
     wstring: 18
   }
 
-  # The parts of a service, beside itself.
+  # The types that a service consists of, in addition to the type of the service itself.
   @parts ["_Request", "_Response", "_Event"]
 
   @doc """
-  The sum of a definition of ROS 2's.
+  Returns the hash of a ROS 2 definition.
 
       iex> {:ok, text} = Situ.Bridge.Ros.Definition.parse("std_msgs/String", "string data", :ros2)
       iex> Situ.Bridge.Ros2.TypeHash.of(text)
@@ -34,7 +34,7 @@ defmodule Situ.Bridge.Ros2.TypeHash do
   def of(%Definition{name: name, types: types}), do: hash(name, types, [])
 
   @doc """
-  The sum of a service: of its request, its response, and the message that tells of its calls.
+  Returns the hash of a service, which covers its request, its response, and the event message about its calls.
 
       iex> text = "int64 a\\nint64 b\\n---\\nint64 sum"
       iex> {:ok, service} = Situ.Bridge.Ros.Definition.service("example_interfaces/AddTwoInts", text, :ros2)
@@ -60,7 +60,7 @@ defmodule Situ.Bridge.Ros2.TypeHash do
     hash(name, definition.types, [name | for(part <- @parts, do: name <> part)])
   end
 
-  # `services`: the types that are of a service, and so spelled otherwise.
+  # `services` contains the types that belong to a service; their full names contain `/srv/`.
   defp hash(name, types, services) do
     others = name |> needed(types, MapSet.new()) |> MapSet.delete(name)
     referenced = others |> Enum.sort_by(&spelled(&1, services))
@@ -112,7 +112,7 @@ defmodule Situ.Bridge.Ros2.TypeHash do
     {id, nested} = id(innermost(type), spelled, services)
     {text, list?, bound} = bounds(spelled)
     {above, capacity} = array(type, list?, bound)
-    # A bounded text has a number of its own.
+    # Bounded strings have separate type ids.
     id = if text > 0, do: id + 4, else: id
 
     ~s({"name": "#{name}", "type": {"type_id": #{id + above}, "capacity": #{capacity}, ) <>
@@ -123,7 +123,7 @@ defmodule Situ.Bridge.Ros2.TypeHash do
   defp id(:int8, "byte" <> _, _services), do: {16, ""}
   defp id(type, _spelled, _services), do: {Map.fetch!(@ids, type), ""}
 
-  # How long a text may be, and a list.
+  # Parses the maximum lengths of a string and of a list.
   defp bounds(spelled) do
     [_, text, bounded, n] =
       ~r/\A[\w\/]+?(?:<=(\d+))?(?:\[(<=)?(\d*)\])?\z/

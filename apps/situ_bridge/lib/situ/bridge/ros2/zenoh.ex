@@ -1,20 +1,20 @@
 defmodule Situ.Bridge.Ros2.Zenoh do
   @moduledoc false
-  # The program `zenoh_port`, which has the Zenoh session, and its frames; `ports/zenoh_port/src/main.rs` tells what is
-  # in them.
+  # Runs the program `zenoh_port`, which has the Zenoh session, and encodes and parses its frames. See
+  # `ports/zenoh_port/src/main.rs` for their format.
   alias Situ.Error
 
   @address [
     router: [
       type: :string,
       default: "tcp/127.0.0.1:7447",
-      doc: "Zenoh's router, which `rmw_zenohd` is."
+      doc: "Address of the Zenoh router, `rmw_zenohd`."
     ],
     domain: [type: {:integer, 0, 232}, default: 0, doc: "ROS_DOMAIN_ID."],
     node: [
       type: {:optional, :string},
       default: nil,
-      doc: "The node's name; by default one is made up."
+      doc: "Name of the node. Default: a random name."
     ]
   ]
 
@@ -30,16 +30,16 @@ defmodule Situ.Bridge.Ros2.Zenoh do
           | {:trouble, id(), why :: binary()}
           | :unknown
 
-  @doc "The options that tell where ROS 2 is."
+  @doc "Returns the options for the router, the domain and the node."
   @spec options() :: Situ.Options.schema()
   def options, do: @address
 
-  @doc "A node's name: by the options, or one of its own."
+  @doc "Returns the node's name from the options, or a random name."
   @spec node_name(keyword()) :: String.t()
   def node_name(opts),
     do: opts[:node] || "situ_" <> Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
 
-  @doc "Where the program is. Error: `:no_zenoh_port`."
+  @doc "Finds the program. Error: `:no_zenoh_port`."
   @spec program() :: {:ok, Path.t()} | {:error, Error.t()}
   def program do
     built = Path.join([:code.priv_dir(:situ_bridge), "zenoh", "zenoh_port"])
@@ -49,21 +49,22 @@ defmodule Situ.Bridge.Ros2.Zenoh do
       {:ok, path}
     else
       {:error,
-       Error.new(:no_zenoh_port, "ROS 2, live, needs the program zenoh_port",
-         why: "#{path} is not there",
-         fix: "run bin/setup --with ros2 (minutes), or set SITU_ZENOH_PORT to it"
+       Error.new(:no_zenoh_port, "live ROS 2 topics need the program zenoh_port",
+         why: "#{path} does not exist",
+         fix:
+           "run bin/setup --with ros2 (takes minutes), or set SITU_ZENOH_PORT to the path of the program"
        )}
     end
   end
 
-  @doc "Starts the program, for the calling process, which gets its frames."
+  @doc "Starts the program for the calling process, which receives its frames."
   @spec open(Path.t(), router :: String.t()) :: port()
   def open(program, router) do
     options = [:binary, :exit_status, packet: 4, args: ["client", "connect=" <> router]]
     Port.open({:spawn_executable, program}, options)
   end
 
-  @doc "Ends the program: with its standard input it goes."
+  @doc "Stops the program, which ends when its standard input is closed."
   @spec close(port() | nil) :: :ok
   def close(nil), do: :ok
 
@@ -72,12 +73,12 @@ defmodule Situ.Bridge.Ros2.Zenoh do
     :ok
   end
 
-  @doc "One publisher, of the last `depth` samples for those who come later or, by `nil`, of none."
+  @doc "Declares a publisher that keeps the last `depth` samples for later subscribers, or none if `depth` is nil."
   @spec publisher(port(), id(), String.t(), depth :: pos_integer() | nil) :: true
   def publisher(port, id, key, nil), do: tell(port, 1, id, key)
   def publisher(port, id, key, depth), do: tell(port, 7, id, [<<depth::32>>, key])
 
-  @doc "One subscriber, that gets the last `depth` samples of before or, by `nil`, none."
+  @doc "Declares a subscriber that also gets the last `depth` earlier samples, or none if `depth` is nil."
   @spec subscriber(port(), id(), String.t(), depth :: pos_integer() | nil) :: true
   def subscriber(port, id, key, nil), do: tell(port, 3, id, key)
   def subscriber(port, id, key, depth), do: tell(port, 8, id, [<<depth::32>>, key])
@@ -85,7 +86,7 @@ defmodule Situ.Bridge.Ros2.Zenoh do
   @spec put(port(), id(), attachment :: binary(), payload :: iodata()) :: true
   def put(port, id, attachment, payload), do: tell(port, 2, id, [sized(attachment), payload])
 
-  @doc "Something by which a node, or an end of a topic or of a service, is seen."
+  @doc "Declares the liveliness token of a node or of an end of a topic or service."
   @spec token(port(), id(), String.t()) :: true
   def token(port, id, key), do: tell(port, 4, id, key)
 
@@ -107,7 +108,7 @@ defmodule Situ.Bridge.Ros2.Zenoh do
   defp sized(part), do: [<<byte_size(part)::16>>, part]
 
   @doc """
-  One of its frames.
+  Parses a frame from the program.
 
       iex> Situ.Bridge.Ros2.Zenoh.read(<<4, 7::32>>)
       {:put, 7}

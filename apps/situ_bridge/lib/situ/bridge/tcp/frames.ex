@@ -1,40 +1,40 @@
 defmodule Situ.Bridge.Tcp.Frames do
   @moduledoc false
-  # Frames of a 32-bit little-endian length and as many bytes. Pure.
+  # Frames with a 32-bit little-endian length, followed by the payload. Pure.
   @behaviour Situ.Bridge.Net.Protocol
   alias Situ.Bridge.Net.Protocol
 
   @doc """
-  The whole payloads in `bytes`, and what is left of a last one.
+  Splits `bytes` into complete payloads and the remaining bytes.
 
       iex> Situ.Bridge.Tcp.Frames.split(<<2, 0, 0, 0, "ab", 9>>, 100)
       {:ok, ["ab"], <<9>>}
       iex> Situ.Bridge.Tcp.Frames.split(<<200, 0, 0, 0>>, 100)
-      {:error, "a frame of 200 bytes; the most are 100"}
+      {:error, "a frame of 200 bytes; the limit is 100"}
   """
   @spec split(binary(), pos_integer()) :: {:ok, [binary()], binary()} | {:error, String.t()}
   def split(bytes, most), do: split(bytes, most, [])
 
   defp split(<<n::little-32, _::binary>>, most, _found) when n > most,
-    do: {:error, "a frame of #{n} bytes; the most are #{most}"}
+    do: {:error, "a frame of #{n} bytes; the limit is #{most}"}
 
   defp split(<<n::little-32, payload::binary-size(n), rest::binary>>, most, found),
     do: split(rest, most, [alone(payload, rest) | found])
 
   defp split(rest, _most, found), do: {:ok, Enum.reverse(found), rest}
 
-  # A payload must not keep the bytes of many others; those of part of the next one it may.
+  # Copying a payload releases the received binary. A payload that makes up most of its binary is not copied.
   defp alone(payload, rest) when byte_size(payload) > byte_size(rest) + 65_536, do: payload
   defp alone(payload, _rest), do: :binary.copy(payload)
 
-  @doc "A payload as a frame."
+  @doc "Encodes a payload as a frame."
   @impl Protocol
   def frame(payload, _arg \\ nil), do: [<<IO.iodata_length(payload)::little-32>>, payload]
 
   @impl Protocol
   def admit(bytes, _arg), do: {:ok, "", bytes}
 
-  # A client has nothing to send; its bytes are dropped.
+  # Clients send no messages; their bytes are dropped.
   @impl Protocol
   def heard(_bytes, _arg), do: {:ok, "", ""}
 
@@ -46,7 +46,7 @@ defmodule Situ.Bridge.Tcp.Frames do
     with {:ok, payloads, rest} <- split(rest <> bytes, most), do: {:ok, payloads, "", rest}
   end
 
-  # An empty payload misses nothing, and would have been taken.
+  # An empty payload never waits for bytes: it is returned together with its length.
   @impl Protocol
   def missing(<<n::little-32, begun::binary>>), do: n - byte_size(begun)
   def missing(begun), do: 4 - byte_size(begun)

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.WebSocket.Frames do
   @moduledoc false
-  # WebSocket frames (RFC 6455, section 5) as bytes and back. Pure.
+  # Encodes and decodes WebSocket frames (RFC 6455, section 5). Pure.
   import Situ.Bits, only: [known: 1]
   import Bitwise
 
@@ -8,11 +8,11 @@ defmodule Situ.Bridge.WebSocket.Frames do
   @numbers Map.new(@opcodes, fn {number, name} -> {name, number} end)
 
   @type event :: {:text | :binary | :close | :ping | :pong, binary()}
-  # The kind and the parts of a message that has begun, or nil.
+  # The kind and the parts of an incomplete message, or `nil`.
   @type begun :: {:text | :binary, [binary()]} | nil
 
   @doc """
-  One frame; a client masks it with four random bytes.
+  Encodes one frame; a client masks it with four random bytes.
 
       iex> Situ.Bridge.WebSocket.Frames.frame(:text, "hi") |> IO.iodata_to_binary()
       <<0x81, 2, "hi">>
@@ -39,8 +39,8 @@ defmodule Situ.Bridge.WebSocket.Frames do
   end
 
   @doc """
-  The whole messages in `bytes`, what is left, and the message that has begun; `masked?`: whether frames must be (a
-  client's) or must not be. Errors are sentences.
+  Splits `bytes` into complete messages; returns them with the remaining bytes and the incomplete message, if any.
+  Frames must be masked (sent by a client) if `masked?` is true, and unmasked otherwise. Errors are sentences.
   """
   @spec split(binary(), begun(), masked? :: boolean(), most :: pos_integer()) ::
           {:ok, [event()], binary(), begun()} | {:error, String.t()}
@@ -80,7 +80,7 @@ defmodule Situ.Bridge.WebSocket.Frames do
   defp one(_short, _most), do: :more
 
   defp sized(_fin, _opcode, _m, n, _rest, most) when n > most,
-    do: {:error, "a frame of #{n} bytes; the most are #{most}"}
+    do: {:error, "a frame of #{n} bytes; the limit is #{most}"}
 
   defp sized(fin, opcode, m, n, bytes, _most) do
     case bytes do
@@ -95,7 +95,7 @@ defmodule Situ.Bridge.WebSocket.Frames do
     end
   end
 
-  @doc "How many bytes a frame that has begun misses at least."
+  @doc "Returns the minimum number of bytes that an incomplete frame lacks."
   @spec missing(binary()) :: pos_integer()
   def missing(<<_, m::1, 127::7, n::64, rest::binary>>), do: left(m, n, rest)
   def missing(<<_, m::1, 126::7, n::16, rest::binary>>), do: left(m, n, rest)
@@ -104,18 +104,19 @@ defmodule Situ.Bridge.WebSocket.Frames do
 
   defp left(masked, n, rest), do: max(4 * masked + n - byte_size(rest), 1)
 
-  # Control frames are whole, and may come between the parts of a message.
+  # Control frames are never fragmented, and may arrive between the parts of a message.
   defp take(opcode, fin, payload, begun, _most) when (opcode &&& 8) != 0 do
     case @opcodes[opcode] do
       kind when kind != nil and fin == 1 and byte_size(payload) < 126 ->
         {:ok, {kind, payload}, begun}
 
       _ ->
-        {:error, "a control frame that is none"}
+        {:error, "an invalid control frame"}
     end
   end
 
-  defp take(0, _fin, _payload, nil, _most), do: {:error, "it goes on with what has not begun"}
+  defp take(0, _fin, _payload, nil, _most),
+    do: {:error, "a continuation frame without a first frame"}
 
   defp take(0, fin, payload, {kind, parts}, most) do
     parts = [payload | parts]
@@ -139,5 +140,5 @@ defmodule Situ.Bridge.WebSocket.Frames do
   end
 
   defp take(opcode, _fin, _payload, _begun, _most),
-    do: {:error, "a frame of the kind #{opcode} here"}
+    do: {:error, "an unexpected frame with opcode #{opcode}"}
 end

@@ -1,16 +1,17 @@
 defmodule Situ.Bridge.WebSocket.Handshake do
   @moduledoc false
-  # How a WebSocket begins (RFC 6455, section 4): an HTTP request, and its answer. Pure.
+  # The opening handshake of a WebSocket (RFC 6455, section 4): an HTTP request and its response. Pure.
   #
-  # A page of any site may open a WebSocket to any address, and its browser says from where it comes. Who is no browser
-  # says nothing. Pages of this machine and those of `origins:` are let in.
+  # A page of any site may open a WebSocket to any address, but the browser sends the page's origin. Other clients send
+  # no origin. Pages of this machine and pages with an origin in `origins:` are admitted.
 
   @salt "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
   @most 16_384
 
   @doc """
-  A server looks at a request. Options: `origins:` and `protocols:`, those it speaks, the best first (`[]`: any, and
-  none is named). Answers the response, the protocol, the request's path, and what follows it.
+  Checks a request on the server. Options: `origins:`, and `protocols:` with the supported subprotocols, the preferred
+  one first (`[]` accepts any and names none). Returns the response, the protocol, the path of the request, and the
+  bytes after it.
   """
   @spec admit(binary(), keyword()) ::
           {:ok, iodata(), protocol :: String.t() | nil, path :: String.t(), rest :: binary()}
@@ -36,20 +37,26 @@ defmodule Situ.Bridge.WebSocket.Handshake do
       {:ok, response(key, protocol), protocol, path, rest}
     else
       {:upgrade, false} ->
-        refuse("426 Upgrade Required", "This is a WebSocket of Situ's.\n")
+        refuse("426 Upgrade Required", "This address only serves WebSockets.\n")
 
       {:origin, false} ->
-        refuse("403 Forbidden", "Pages of this site may not connect; see origins:.\n")
+        refuse(
+          "403 Forbidden",
+          "Pages of this site may not connect; see the option `origins:`.\n"
+        )
 
       {:error, wanted} ->
-        refuse("400 Bad Request", "Ask for one of the subprotocols #{Enum.join(wanted, ", ")}.\n")
+        refuse(
+          "400 Bad Request",
+          "Request a supported subprotocol: #{Enum.join(wanted, ", ")}.\n"
+        )
 
       _ ->
         refuse("400 Bad Request", "")
     end
   end
 
-  @doc "The headers of a request or a response, by names in small letters."
+  @doc "Parses the headers of a request or a response, with lower-case names."
   @spec headers([String.t()]) :: %{String.t() => String.t()}
   def headers(lines) do
     for line <- lines,
@@ -58,7 +65,7 @@ defmodule Situ.Bridge.WebSocket.Handshake do
         do: {name |> ascii() |> String.downcase(), value |> ascii() |> String.trim()}
   end
 
-  # Bytes that are no text would make functions of strings fail.
+  # String functions fail on bytes that are not valid UTF-8.
   defp ascii(text), do: for(<<byte <- text>>, byte in 32..126, into: "", do: <<byte>>)
 
   defp upgrade?(headers), do: String.downcase(headers["upgrade"] || "") == "websocket"
@@ -95,7 +102,7 @@ defmodule Situ.Bridge.WebSocket.Handshake do
 
   defp accept(key), do: Base.encode64(:crypto.hash(:sha, key <> @salt))
 
-  @doc "An HTTP response that ends the connection."
+  @doc "Builds an HTTP response that ends the connection."
   @spec refuse(String.t(), String.t()) :: {:refuse, iodata()}
   def refuse(status, text) do
     head =
@@ -104,7 +111,7 @@ defmodule Situ.Bridge.WebSocket.Handshake do
     {:refuse, ["HTTP/1.1 ", status, head, text]}
   end
 
-  @doc "A client's request, and the key of it."
+  @doc "Builds a client's request and its key."
   @spec request(String.t(), :inet.port_number(), String.t()) :: {iodata(), key :: String.t()}
   def request(host, port, path) do
     key = Base.encode64(:crypto.strong_rand_bytes(16))
@@ -115,7 +122,7 @@ defmodule Situ.Bridge.WebSocket.Handshake do
      ], key}
   end
 
-  @doc "A client looks at the answer to its request."
+  @doc "Checks the response to a client's request."
   @spec accepted(binary(), key :: String.t()) ::
           {:ok, rest :: binary()} | :more | {:error, String.t()}
   def accepted(bytes, key) do
@@ -125,17 +132,17 @@ defmodule Situ.Bridge.WebSocket.Handshake do
 
         cond do
           not String.starts_with?(status, "HTTP/1.1 101") ->
-            {:error, "it answers #{inspect(status)}"}
+            {:error, "the server responded with #{inspect(status)}"}
 
           headers(lines)["sec-websocket-accept"] != accept(key) ->
-            {:error, "it is no WebSocket"}
+            {:error, "the server is not a WebSocket server"}
 
           true ->
             {:ok, rest}
         end
 
       [_] when byte_size(bytes) > @most ->
-        {:error, "it does not answer like HTTP"}
+        {:error, "the response is not HTTP"}
 
       [_] ->
         :more

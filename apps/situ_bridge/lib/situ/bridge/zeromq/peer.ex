@@ -1,11 +1,11 @@
 defmodule Situ.Bridge.ZeroMQ.Peer do
   @moduledoc false
-  # One connection of a ZeroMQ socket: shakes hands, writes what the socket hands over, reads what comes.
+  # One connection of a ZeroMQ socket: performs the handshake, sends messages for the socket, and receives messages.
   use GenServer, restart: :temporary
   alias Situ.Bridge.Net.{Outbox, Pieces}
   alias Situ.Bridge.ZeroMQ.Wire
 
-  # Time for a peer to say who it is.
+  # The time limit of the handshake, ms.
   @handshake 5_000
 
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
@@ -52,7 +52,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   def handle_info(:too_slow, %{phase: :open} = state), do: {:noreply, state}
 
   def handle_info(:too_slow, state),
-    do: {:stop, {:shutdown, {:refused, "it did not shake hands in time"}}, state}
+    do: {:stop, {:shutdown, {:refused, "the handshake timed out"}}, state}
 
   def handle_info({:send, bytes}, state) do
     case Outbox.flush(state.queued, state.tcp, bytes) do
@@ -71,8 +71,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
     end
   end
 
-  # As long as too much has not been taken by the component, nothing more is read: the other side fills up and waits
-  # or drops.
+  # While the component has too many unprocessed messages, nothing more is read, so the other side queues or drops them.
   defp arm(%{tcp: nil} = state), do: state
 
   defp arm(state) do
@@ -131,6 +130,6 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
     end
   end
 
-  # A connection that breaks here is reported when it closes.
+  # A broken connection is reported when it closes.
   defp ok(_result), do: :ok
 end

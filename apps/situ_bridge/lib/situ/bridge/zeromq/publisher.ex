@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.ZeroMQ.Publisher do
   @moduledoc false
-  # One publishing socket for several streams of a pipeline, each with a topic of its own. Opened with the pipeline,
-  # closed when the last stream has ended or the pipeline is gone.
+  # One publishing socket shared by several streams of a pipeline, each with a separate topic. It opens with the
+  # pipeline and closes when the last stream or the pipeline has ended.
   use GenServer, restart: :temporary
   alias Situ.Bridge.Outlet
   alias Situ.Bridge.ZeroMQ.Socket
@@ -14,18 +14,18 @@ defmodule Situ.Bridge.ZeroMQ.Publisher do
   defstruct [:server]
   @type t :: %__MODULE__{server: pid()}
 
-  @doc "Not linked: what is under way is sent when a pipeline ends."
+  @doc "Starts the publisher without a link, so that messages in flight are still sent when a pipeline ends."
   @spec start(pid(), String.t(), keyword()) :: t()
   def start(pipeline, address, opts) do
     {:ok, server} = GenServer.start(__MODULE__, {pipeline, address, opts})
     %__MODULE__{server: server}
   end
 
-  @doc "One stream more."
+  @doc "Registers another stream."
   @spec expect(t()) :: :ok
   def expect(%__MODULE__{server: server}), do: GenServer.call(server, :expect)
 
-  @doc "The door of a stream, and the port that the socket listens on. Errors as `Socket.open/3`."
+  @doc "Opens the socket for a stream; returns its handle and the listening port. Errors: see `Socket.open/3`."
   @spec open(t()) ::
           {:ok, {pid(), pid()}, :inet.port_number() | nil} | {:error, Error.t()}
   def open(%__MODULE__{server: server}), do: GenServer.call(server, :open, :infinity)

@@ -3,22 +3,22 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
   alias Situ.Bridge.ZeroMQ.Publisher
 
   @schema [
-            socket: [type: {:in, [:pub, :push]}, required: true, doc: "Which socket."],
-            address: [type: :string, default: "", doc: "tcp://HOST:PORT."],
+            socket: [type: {:in, [:pub, :push]}, required: true, doc: "The type of the socket."],
+            address: [type: :string, default: "", doc: "The address, `tcp://HOST:PORT`."],
             shared: [
               type: {:optional, {:struct, Publisher}},
               default: nil,
-              doc: "The socket of several streams."
+              doc: "A socket that several streams share."
             ],
-            topic: [type: :string, default: "", doc: "The first frame of what is published."],
+            topic: [type: :string, default: "", doc: "The first frame of published messages."],
             bind: [
               type: :boolean,
               default: true,
-              doc: "Listen at the address instead of connecting to it."
+              doc: "Listen on the address instead of connecting to it."
             ]
           ] ++ Outlet.options()
   @moduledoc false
-  # A stream to a ZeroMQ socket.
+  # Sends a stream to a ZeroMQ socket.
   use Situ.Component, inputs: [in: :any], options: @schema
   use Outlet
   alias Situ.Bridge.ZeroMQ.Socket

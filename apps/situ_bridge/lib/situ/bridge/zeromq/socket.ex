@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.ZeroMQ.Socket do
   @moduledoc false
-  # A ZeroMQ socket: its peers, who wants what, and how much waits for each. The owner gets `{:zeromq, [[frame]]}`.
+  # A ZeroMQ socket: its peers with their subscriptions and send queues. The owner receives `{:zeromq, [[frame]]}`.
   use GenServer
   alias Situ.Bridge.Net.{Linger, Listener, Outbox}
   alias Situ.Bridge.Outlet
@@ -28,7 +28,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     told: nil
   ]
 
-  @doc "Binds or connects. Errors: `:bad_address`, `:address_in_use`."
+  @doc "Opens a socket that listens or connects. Errors: `:bad_address`, `:address_in_use`."
   @spec open(Wire.type(), String.t(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def open(type, address, opts) do
     with {:ok, parsed} <- parse(address),
@@ -42,6 +42,8 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   end
 
   @doc """
+  Parses an address to a host and a port.
+
       iex> Situ.Bridge.ZeroMQ.Socket.parse("tcp://127.0.0.1:5555")
       {:ok, {'127.0.0.1', 5555}}
       iex> {:error, error} = Situ.Bridge.ZeroMQ.Socket.parse("ipc:///tmp/x")
@@ -59,30 +61,30 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     else
       _ ->
         {:error,
-         Error.new(:bad_address, "#{inspect(address)} is no address of ZeroMQ that Situ knows",
+         Error.new(:bad_address, "#{inspect(address)} is not a supported ZeroMQ address",
            fix: "write it like tcp://127.0.0.1:5555; tcp://*:5555 listens on all interfaces"
          )}
     end
   end
 
-  @doc "The port that a bound socket listens on."
+  @doc "Returns the port of a listening socket."
   def port(socket), do: GenServer.call(socket, :port)
 
-  @doc "Sends frames to whom they concern; a publisher's first one is the topic."
+  @doc "Sends frames to subscribers or to one peer; the first frame of a publisher is the topic."
   @impl Outlet
   def put(socket, frames), do: GenServer.call(socket, {:put, frames}, :infinity)
 
-  @doc "How many subscribers (of a publisher) or peers there are."
+  @doc "Returns the number of subscribers (of a publisher) or peers."
   @impl Outlet
   def ready(socket), do: GenServer.call(socket, :ready)
 
   @impl Outlet
   def dropped(socket), do: GenServer.call(socket, :dropped)
 
-  @doc "The owner has taken so many messages."
+  @doc "Records that the owner has taken `n` messages."
   def taken(socket_state, n), do: :atomics.sub(socket_state, 1, n)
 
-  @doc "The counter that `taken/2` counts down."
+  @doc "Returns the counter of untaken messages, which `taken/2` decrements."
   def untaken(socket), do: GenServer.call(socket, :untaken)
 
   @doc "Waits until everything has been handed to the network, at most `timeout` ms, and closes."
@@ -131,7 +133,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     {:reply, :ok, %{state | dropped: state.dropped + dropped}}
   end
 
-  # To the peers in turn, skipping those without room.
+  # Messages go to the peers in turn; peers without room are skipped.
   def handle_call({:put, frames}, _from, %{type: :push} = state) do
     open = Enum.filter(state.peers, fn {_, peer} -> peer.open? end)
     {before, from} = Enum.split(open, rem(state.turn, max(length(open), 1)))
@@ -183,7 +185,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def handle_info({:EXIT, _pid, _reason}, state), do: {:noreply, state}
   def handle_info(:again, state), do: {:noreply, connect(state)}
 
-  # A socket that ends well takes its connections along; their links would not.
+  # A normal exit does not propagate through links, so the connections are stopped explicitly.
   @impl true
   def terminate(_reason, state) do
     for {pid, _} <- state.peers, do: Process.exit(pid, :shutdown)
@@ -196,7 +198,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
       else: state
   end
 
-  # The same error is reported once, not at every attempt.
+  # A repeated error is logged once, not at every attempt.
   defp tell(state, {:shutdown, {kind, _} = reason}) when kind in [:refused, :unreachable] do
     if state.told != reason,
       do:

@@ -2,37 +2,38 @@ defmodule Situ.Bridge.ZeroMQ.Source do
   alias Situ.Bridge.Inlet
 
   @schema [
-            socket: [type: {:in, [:sub, :pull]}, required: true, doc: "Which socket."],
-            address: [type: :string, required: true, doc: "tcp://HOST:PORT."],
+            socket: [type: {:in, [:sub, :pull]}, required: true, doc: "The type of the socket."],
+            address: [type: :string, required: true, doc: "The address, `tcp://HOST:PORT`."],
             topic: [type: :string, default: "", doc: "The topic to subscribe to."],
             prefix: [
               type: :boolean,
               default: false,
-              doc: "Take all topics that begin so, not just this one."
+              doc: "Receive all topics that begin with `topic:`, not only equal ones."
             ],
             bind: [
               type: :boolean,
               default: false,
-              doc: "Listen at the address instead of connecting to it."
+              doc: "Listen on the address instead of connecting to it."
             ],
             high_water_mark: [
               type: :pos_integer,
               default: 1_000,
-              doc: "The most messages that are taken ahead."
+              doc: "The limit of messages received ahead of the component."
             ],
             most: [
               type: :pos_integer,
               default: 64 * 1024 * 1024,
-              doc: "The largest message, bytes; a peer that sends a larger one is cut off."
+              doc: "The largest message, bytes; a peer that sends a larger one is disconnected."
             ],
             listening: [
               type: {:optional, :pid},
               default: nil,
-              doc: "Gets `{:listening, port}` once bound; of use with port 0."
+              doc:
+                "A process that receives `{:listening, port}` after binding; useful with port 0."
             ]
           ] ++ Inlet.options()
   @moduledoc false
-  # A ZeroMQ socket as a source that never ends.
+  # A ZeroMQ socket as an endless source.
   use Situ.Component, outputs: [out: :any], options: @schema
   alias Situ.Bridge.ZeroMQ.Socket
 

@@ -5,27 +5,27 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
 
   @greeting <<0xFF, 0::64, 0x7F, 3, 0, "NULL", 0::128, 0, 0::248>>
   @names %{pub: "PUB", sub: "SUB", push: "PUSH", pull: "PULL"}
-  # Who may talk to whom; XPUB and XSUB are what proxies have.
+  # The socket types that each type may connect to; XPUB and XSUB are the types of proxies.
   @peers %{pub: ["SUB", "XSUB"], sub: ["PUB", "XPUB"], push: ["PULL"], pull: ["PUSH"]}
 
   @type type :: :pub | :sub | :push | :pull
   @type event :: {:message, [binary()]} | {:subscribe | :unsubscribe, binary()}
 
-  @doc "The 64 bytes that both sides begin with."
+  @doc "Returns the 64-byte greeting of both sides."
   def greeting, do: @greeting
 
-  @doc "Looks at the other side's greeting."
+  @doc "Checks the greeting of the other side."
   @spec greeted(binary()) :: {:ok, rest :: binary()} | :more | {:error, String.t()}
   def greeted(
         <<0xFF, _::64, 0x7F, major, _minor, mechanism::binary-20, _::binary-32, rest::binary>>
       ) do
     cond do
       major < 3 ->
-        {:error, "it speaks ZMTP #{major}, which is older than 3"}
+        {:error, "it uses ZMTP #{major}, which is older than the required version 3"}
 
       String.trim_trailing(mechanism, <<0>>) != "NULL" ->
         {:error,
-         "it wants the mechanism #{inspect(String.trim_trailing(mechanism, <<0>>))}; only NULL is known"}
+         "it requires the mechanism #{inspect(String.trim_trailing(mechanism, <<0>>))}, but only NULL is supported"}
 
       true ->
         {:ok, rest}
@@ -34,9 +34,9 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
 
   def greeted(<<0xFF, _::binary>> = short) when byte_size(short) < 64, do: :more
   def greeted(""), do: :more
-  def greeted(_), do: {:error, "it does not begin like ZMTP"}
+  def greeted(_), do: {:error, "its greeting is not ZMTP"}
 
-  @doc "The command that says which type of socket this is."
+  @doc "Encodes the command that announces the type of this socket."
   @spec ready(type()) :: iodata()
   def ready(type) do
     name = @names[type]
@@ -44,7 +44,7 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
     [<<0x04, byte_size(body)>>, body]
   end
 
-  @doc "Looks at the other side's READY command: its type must fit ours."
+  @doc "Checks the READY command of the other side, whose socket type must be compatible with `type`."
   @spec readied(binary(), type(), pos_integer()) ::
           {:ok, rest :: binary()} | :more | {:error, String.t()}
   def readied(bytes, type, most) do
@@ -56,14 +56,14 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
           do: {:ok, rest},
           else:
             {:error,
-             "it is a #{theirs || "socket without a type"}, which a #{@names[type]} cannot talk to"}
+             "it is a #{theirs || "socket without a type"}, which is incompatible with #{@names[type]}"}
 
       {:ok, {flags, <<5, "ERROR", n, reason::binary-size(n), _::binary>>}, _}
       when (flags &&& 4) != 0 ->
-        {:error, "it refuses: #{reason}"}
+        {:error, "it refused the connection: #{reason}"}
 
       {:ok, _, _} ->
-        {:error, "it sends something else before READY"}
+        {:error, "it sent something else before READY"}
 
       other ->
         other
@@ -75,12 +75,12 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
 
   defp property(_, _wanted), do: nil
 
-  @doc "A message of several frames."
+  @doc "Encodes a message of several frames."
   @spec message([iodata()]) :: iodata()
   def message([last]), do: encode(last, 0)
   def message([frame | frames]), do: [encode(frame, 1) | message(frames)]
 
-  @doc "A subscriber's message: it wants (or no longer wants) the topics that begin with `prefix`."
+  @doc "Encodes a subscription or its end, for topics that begin with `prefix`."
   @spec subscription(:subscribe | :unsubscribe, binary()) :: iodata()
   def subscription(:subscribe, prefix), do: message([<<1, prefix::binary>>])
   def subscription(:unsubscribe, prefix), do: message([<<0, prefix::binary>>])
@@ -93,7 +93,8 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
   end
 
   @doc """
-  The whole messages in `bytes`; `parts` are the frames of one that has begun. Answers them in order, and what is left.
+  Parses the complete messages in `bytes`; `parts` are the frames of an incomplete message. Returns the messages in
+  order, the frames of the incomplete message, and the remaining bytes.
   """
   @spec events(binary(), [binary()], type(), pos_integer()) ::
           {:ok, [event()], [binary()], binary()} | {:error, String.t()}
@@ -118,7 +119,7 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
     end
   end
 
-  @doc "How many bytes a frame that has begun misses at least."
+  @doc "Returns the minimum number of bytes that an incomplete frame lacks."
   @spec missing(binary()) :: pos_integer()
   def missing(<<flags, n::64, rest::binary>>) when (flags &&& 2) != 0,
     do: max(n - byte_size(rest), 1)
@@ -132,7 +133,7 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
   defp event(:pub, [<<0, prefix::binary>>]), do: {:unsubscribe, prefix}
   defp event(_type, frames), do: {:message, frames}
 
-  # Peers of ZMTP 3.1 may subscribe by commands.
+  # ZMTP 3.1 peers may use commands to subscribe.
   defp command(<<9, "SUBSCRIBE", prefix::binary>>), do: [{:subscribe, prefix}]
   defp command(<<6, "CANCEL", prefix::binary>>), do: [{:unsubscribe, prefix}]
   defp command(_other), do: []

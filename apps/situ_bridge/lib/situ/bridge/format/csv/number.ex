@@ -1,12 +1,13 @@
 defmodule Situ.Bridge.Format.Csv.Number do
   @moduledoc false
-  # Numbers as .NET writes them in its invariant culture, and fields as values.
+  # Formats numbers as .NET's invariant culture does, and parses fields into values.
   import Situ.Bits, only: [known: 1]
 
   @canonical ~r/\A-?(0|[1-9]\d*)(\.\d+)?([eE][+-]?\d{1,3})?\z/
 
   @doc """
-  The shortest digits that are this number; no ".0"; an exponent from 1E+15 on and below 0.0001.
+  Returns the shortest digits that represent the number, without ".0", and with an exponent from 1E+15 on and below
+  0.0001.
 
       iex> Enum.map([1.0, 0.1, 1.5e20, 1.0e-5, -0.0, 12], &Situ.Bridge.Format.Csv.Number.write/1)
       ["1", "0.1", "1.5E+20", "1E-05", "-0", "12"]
@@ -28,7 +29,7 @@ defmodule Situ.Bridge.Format.Csv.Number do
     end
   end
 
-  # All digits are there already.
+  # Without an exponent, only a final ".0" has to be removed.
   defp whole(text) do
     size = byte_size(text) - 2
 
@@ -38,7 +39,7 @@ defmodule Situ.Bridge.Format.Csv.Number do
     end
   end
 
-  # The digits of 0.ddd times ten to the exponent.
+  # Returns the sign, the digits d and the exponent e of 0.ddd * 10^e.
   defp digits(text) do
     text = if String.contains?(text, "e"), do: text, else: text <> "e0"
     [mantissa, exponent] = String.split(text, "e")
@@ -79,7 +80,7 @@ defmodule Situ.Bridge.Format.Csv.Number do
   end
 
   @doc """
-  A field as a value: a boolean, a number that is written like one, `nil` for nothing, else the text.
+  Parses a field: `nil` for an empty field, a boolean, a number in canonical form, or else the string itself.
 
       iex> Enum.map(["True", "12", "1.50", "NaN", "", "007", "x"], &Situ.Bridge.Format.Csv.Number.read/1)
       [true, 12, 1.5, :nan, nil, "007", "x"]

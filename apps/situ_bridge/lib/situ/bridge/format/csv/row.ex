@@ -1,11 +1,13 @@
 defmodule Situ.Bridge.Format.Csv.Row do
   @moduledoc false
-  # One record of fields, by RFC 4180: quotes around fields with commas, quotes or line breaks; a quote is doubled.
+  # One record of fields (RFC 4180): fields with commas, quotes or line breaks are quoted, and quotes are doubled.
   import Situ.Bits, only: [known: 1]
 
   @most 16 * 1024 * 1024
 
   @doc """
+  Encodes fields as a record.
+
       iex> IO.iodata_to_binary(Situ.Bridge.Format.Csv.Row.write(["a", "b,c", ~s(say "so")]))
       ~s(a,"b,c","say ""so\"""\\r\\n)
   """
@@ -20,13 +22,13 @@ defmodule Situ.Bridge.Format.Csv.Row do
       else: [?", String.replace(field, "\"", "\"\""), ?"]
   end
 
-  # Nothing but visible ASCII, as numbers and most words are: nothing to look for.
+  # Most fields, such as numbers and words, consist of visible ASCII only and need no further checks.
   defp bare?(<<c, rest::binary>>) when c in ?!..?~ and c != ?, and c != ?", do: bare?(rest)
   defp bare?(rest), do: rest == ""
 
   defp special?(field), do: String.contains?(field, [",", "\"", "\r", "\n"])
 
-  @doc "The first record and what follows it; `:more` when it is not whole. With `last?` nothing will follow."
+  @doc "Returns the first record and the remaining bytes; `:more` if it is incomplete. `last?`: no bytes follow."
   @spec read(binary(), boolean()) :: {:ok, [String.t()], binary()} | :more | {:error, String.t()}
   def read(bytes, _last?) when byte_size(bytes) == 0, do: :more
   def read(bytes, last?), do: field(bytes, last?, [])
@@ -79,7 +81,7 @@ defmodule Situ.Bridge.Format.Csv.Row do
   defp quote_met(rest, false, _parts, _done) when rest in ["", "\r"], do: :more
 
   defp quote_met(_rest, _last?, _parts, _done),
-    do: {:error, "a quoted field goes on behind its closing quote"}
+    do: {:error, "a quoted field has characters after its closing quote"}
 
   defp text(parts), do: IO.iodata_to_binary(parts)
 

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Ros.Bag.Chunk do
   @moduledoc false
-  # A chunk of a bag, unpacked. The missing part of the last one, in a file cut short, is not asked for.
+  # Reads and unpacks a chunk of a bag. If the file is cut short, the last chunk is read up to the end of the file.
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Native
   alias Situ.Bridge.Ros.Bag.Record
@@ -16,7 +16,7 @@ defmodule Situ.Bridge.Ros.Bag.Chunk do
          {:ok, data} <- :file.pread(file, at + 8 + h, min(d, max(size - at - 8 - h, 0))) do
       unpack(fields["compression"], data, Record.u32(fields, "size") || 0)
     else
-      _ -> {:error, "it cannot be read"}
+      _ -> {:error, "its header or its data cannot be read"}
     end
   end
 
@@ -26,5 +26,5 @@ defmodule Situ.Bridge.Ros.Bag.Chunk do
   defp unpack(other, _data, _size),
     do:
       {:error,
-       "it is compressed by #{inspect(other)}, which is not read (`rosbag decompress` does)"}
+       "its compression #{inspect(other)} is not supported (unpack the bag with `rosbag decompress`)"}
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Bag.Contents do
   @moduledoc false
-  # The contents of a bag: its connections, and where each message lies. With an index that is read; without one (the
-  # recorder was killed, the file is cut short) all chunks are passed over.
+  # Reads the contents of a bag: its connections and the position of each message. They come from the index if there is
+  # one. Otherwise (the recorder was killed, or the file is cut short), all chunks are scanned.
   import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Ros.Bag.{Chunk, Record}
 
@@ -22,7 +22,7 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
     end
   end
 
-  # The record at `at`: kind, fields, where its data lie.
+  # Reads the header of the record at `at`. Returns its kind, its fields, and the position and size of its data.
   defp place(file, at, size) do
     with {:ok, <<h::little-32>>} when h <= @most_header and at + 8 + h <= size <-
            :file.pread(file, at, 4),
@@ -47,7 +47,7 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
     end
   end
 
-  # Connections and chunk infos up to the end of the file.
+  # Reads the connections and chunk infos, which continue to the end of the file.
   defp index_section(_file, at, size, contents, chunks) when at == size,
     do: {:ok, contents, chunks}
 
@@ -76,7 +76,7 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
     end
   end
 
-  # A chunk's messages by the index records behind it, one a connection.
+  # Reads the index records that follow a chunk; there is one for each connection.
   defp chunk_index(file, size, {at, connections}, contents)
        when is_integer(at) and is_integer(connections) do
     with {:ok, :chunk, _, data, n} <- place(file, at, size),
@@ -132,7 +132,7 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
     end
   end
 
-  # Passing over the records.
+  # Scanning the records of a bag without an index
 
   defp scanned(file, size), do: scan(file, byte_size(@magic), size, %__MODULE__{indexed?: false})
 

@@ -1,15 +1,18 @@
 defmodule Situ.Bridge.Ros.Bag.RealSense do
   @moduledoc false
-  # Bags that the RealSense SDK and its viewer record. Their topics are `/device_0/sensor_0/Depth_0/image/data` and the
-  # like; depth is written as if it were a grey picture (`mono16`), and how many metres its unit has is the value of an
-  # option of the sensor.
+  # Reads bags recorded by the RealSense SDK and its viewer. Their topics are like
+  # `/device_0/sensor_0/Depth_0/image/data`. Depth is stored as a gray image (`mono16`); the size of its unit in meters
+  # is the value of an option of the sensor.
   alias Situ.{DepthImage, Image}
 
   @depth ~r"\A(/device_\d+/sensor_\d+)/Depth_\d+/image/data\z"
-  # The unit of all cameras that were not told another one, metres.
+  # The default unit of all cameras, in meters.
   @unit 0.001
 
-  @doc "Tracks with `:unit`, that of those with depth, `nil` of the others. `first` gives a track's first message."
+  @doc """
+  Puts `:unit` into all tracks: the depth unit for depth images, and nil for other tracks. `first` returns the first
+  message of a track.
+  """
   @spec tracks([map()], (map() -> term())) :: [map()]
   def tracks(tracks, first) do
     for track <- tracks do
@@ -24,7 +27,7 @@ defmodule Situ.Bridge.Ros.Bag.RealSense do
     end
   end
 
-  # 32 bits hold no 0.001: seven digits of it are meant.
+  # The option is a 32-bit float, which cannot represent 0.001 exactly, so it is rounded to seven digits.
   defp unit(%{"data" => unit}), do: unit(unit)
 
   defp unit(unit) when is_float(unit) and unit > 1.0e-9 and unit < 1.0,
@@ -32,7 +35,7 @@ defmodule Situ.Bridge.Ros.Bag.RealSense do
 
   defp unit(_none), do: @unit
 
-  @doc "A message's data: of a track with depth its grey picture as depth."
+  @doc "Converts the gray image of a depth track to a depth image. Returns other data unchanged."
   @spec data(term(), float() | nil) :: term()
   def data(%Image{format: :gray16} = image, unit) when is_float(unit) do
     size = [width: image.width, height: image.height, stride: image.stride]

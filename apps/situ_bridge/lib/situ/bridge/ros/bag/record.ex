@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Ros.Bag.Record do
   @moduledoc false
-  # The records of a bag, version 2.0 (http://wiki.ros.org/Bags/Format/2.0): a header of named fields, and data. Pure.
+  # Parses and encodes the records of a bag, version 2.0 (http://wiki.ros.org/Bags/Format/2.0). A record has a header
+  # with named fields, and data. Pure.
 
   @ops %{2 => :message, 3 => :bag, 4 => :index, 5 => :chunk, 6 => :chunk_info, 7 => :connection}
   @codes Map.new(@ops, fn {code, op} -> {op, code} end)
@@ -8,7 +9,7 @@ defmodule Situ.Bridge.Ros.Bag.Record do
   @type op :: :message | :bag | :index | :chunk | :chunk_info | :connection
   @type fields :: %{String.t() => binary()}
 
-  @doc "The fields of a header."
+  @doc "Parses the fields of a header."
   @spec fields(binary()) :: {:ok, fields()} | :error
   def fields(bytes), do: fields(bytes, %{})
 
@@ -23,12 +24,12 @@ defmodule Situ.Bridge.Ros.Bag.Record do
 
   defp fields(_, _found), do: :error
 
-  @doc "The kind of the record with this header."
+  @doc "Returns the kind of the record with these header fields, or nil if the kind is unknown."
   @spec op(fields()) :: op() | nil
   def op(%{"op" => <<code>>}), do: @ops[code]
   def op(_), do: nil
 
-  @doc "The first record in bytes: its kind, header, data, and what follows."
+  @doc "Takes the first record off `bytes`. Returns its kind, header fields and data, and the remaining bytes."
   @spec take(binary()) :: {:ok, op() | nil, fields(), binary(), binary()} | :error
   def take(
         <<h::little-32, header::binary-size(h), d::little-32, data::binary-size(d), rest::binary>>
@@ -38,29 +39,29 @@ defmodule Situ.Bridge.Ros.Bag.Record do
 
   def take(_), do: :error
 
-  @doc "A record as bytes."
+  @doc "Encodes a record."
   @spec write(op(), [{String.t(), iodata()}], iodata()) :: iodata()
   def write(op, fields, data) do
     header = header([{"op", <<@codes[op]>>} | fields])
     [<<IO.iodata_length(header)::little-32>>, header, <<IO.iodata_length(data)::little-32>>, data]
   end
 
-  @doc "Named fields as bytes."
+  @doc "Encodes named fields."
   @spec header([{String.t(), iodata()}]) :: iodata()
   def header(fields) do
     for {name, value} <- fields,
         do: [<<byte_size(name) + 1 + IO.iodata_length(value)::little-32>>, name, "=", value]
   end
 
-  @doc "A field that is a number of 32 bits."
+  @doc "Returns the value of a 32-bit field, or nil."
   def u32(fields, name), do: with(%{^name => <<n::little-32>>} <- fields, do: n, else: (_ -> nil))
-  @doc "A field that is a number of 64 bits."
+  @doc "Returns the value of a 64-bit field, or nil."
   def u64(fields, name), do: with(%{^name => <<n::little-64>>} <- fields, do: n, else: (_ -> nil))
 
-  @doc "A time, seconds and nanoseconds, as nanoseconds."
+  @doc "Converts a time in seconds and nanoseconds to nanoseconds."
   def time(<<seconds::little-32, ns::little-32>>), do: seconds * 1_000_000_000 + ns
   def time(_), do: nil
 
-  @doc "Nanoseconds as a time."
+  @doc "Encodes a time in nanoseconds as seconds and nanoseconds."
   def stamp(ns), do: <<div(ns, 1_000_000_000)::little-32, rem(ns, 1_000_000_000)::little-32>>
 end

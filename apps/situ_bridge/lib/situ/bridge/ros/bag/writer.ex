@@ -1,8 +1,8 @@
 defmodule Situ.Bridge.Ros.Bag.Writer do
   @moduledoc false
   @behaviour Situ.Bridge.Recorder
-  # Writes a bag: chunks of records with the index behind each, at the end connections and chunk infos, and where
-  # those are in the record that the file begins with.
+  # Writes a bag: chunks of records, each followed by its index, and the connections and chunk infos at the end. The
+  # first record of the file contains the position of the connections.
   alias Situ.Bridge.Mcap.{Channel, Extra}
   alias Situ.Bridge.Native
   alias Situ.Bridge.Ros.Bag.Record
@@ -10,25 +10,25 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   alias Situ.Error
 
   @magic "#ROSBAG V2.0\n"
-  # The first record is filled up to this, so that it can be written again at the end.
+  # The first record is padded to this size, so that it can be overwritten at the end.
   @first 4_096
 
   @file_options [
-    chunk: [type: :pos_integer, default: 786_432, doc: "Bytes of a chunk."],
-    compression: [type: {:in, [:none, :lz4]}, default: :none, doc: "How chunks are packed."]
+    chunk: [type: :pos_integer, default: 786_432, doc: "Size of a chunk in bytes."],
+    compression: [type: {:in, [:none, :lz4]}, default: :none, doc: "Compression of the chunks."]
   ]
   @topic [
     type: [
       type: {:optional, :string},
       default: nil,
-      doc: "The ROS type; by default the standard one that fits the first message."
+      doc: "The ROS type. Default: the standard type that fits the first message."
     ],
     definition: [
       type: {:optional, :string},
       default: nil,
-      doc: "Its definition (`.msg`), when it is none of ROS's own."
+      doc: "The definition (`.msg`), unless the type is a standard ROS type."
     ],
-    frame: [type: :string, default: "", doc: "The frame of reference that headers name."]
+    frame: [type: :string, default: "", doc: "The frame of reference in message headers."]
   ]
 
   defstruct [
@@ -72,8 +72,8 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
 
   defp io(path, :enospc),
     do:
-      Error.new(:disk_full, "no room left on the disk of #{path}",
-        fix: "free some space, or write elsewhere"
+      Error.new(:disk_full, "no space left on the disk of #{path}",
+        fix: "free some space, or write to another disk"
       )
 
   defp io(path, reason),
@@ -123,8 +123,10 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   defp time(topic, time),
     do:
       {:error,
-       Error.new(:not_writable, "a message of #{topic} is from #{Situ.Time.to_iso8601(time)}",
-         why: "bags have times from 1970 to 2106"
+       Error.new(
+         :not_writable,
+         "a message of #{topic} has the time #{Situ.Time.to_iso8601(time)}",
+         why: "bags store only times from 1970 to 2106"
        )}
 
   defp span(nil, time), do: {time, time}
@@ -216,7 +218,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
     bytes
   end
 
-  # A chunk's size is in its head, so only whole ones can be handed over: what is pending stays so.
+  # A chunk begins with its size, so only complete chunks can be written. Pending records stay in memory.
   @impl true
   def flush(writer), do: {:ok, writer}
 

@@ -4,8 +4,8 @@ defmodule Situ.Bridge.Ros.Db3.Sqlite do
   alias Situ.Error
 
   @doc """
-  Returns the rows that a query finds, as texts. Errors: `:not_bag` if the file is not an SQLite database, `:no_sqlite`
-  if the program is not installed, `:io`.
+  Returns the rows that a query finds, as strings. Errors: `:not_bag` if the file is not an SQLite database,
+  `:no_sqlite` if the program is not installed, and `:io` if the file cannot be read.
   """
   @spec query(Path.t(), String.t()) :: {:ok, [[String.t()]]} | {:error, Error.t()}
   def query(path, sql) do
@@ -64,6 +64,6 @@ defmodule Situ.Bridge.Ros.Db3.Sqlite do
   defp shorten_output(out) do
     if String.valid?(out),
       do: out |> String.trim() |> String.slice(0, 200),
-      else: "sqlite3 refuses it"
+      else: "sqlite3 cannot read the file"
   end
 end
