@@ -3,19 +3,19 @@ defmodule Situ.Studio do
     path: [
       type: {:optional, :string},
       default: nil,
-      doc: "A recording, or a folder with recordings at any depth."
+      doc: "A recording, or a folder that contains recordings at any depth."
     ],
     pipelines: [
       type: :list,
       default: [],
       doc:
-        "Running pipelines to look into: pids, names, or functions that find them; `{title, pipeline}` gives a title."
+        "Running pipelines to show: pids, names, or functions that return them; `{title, pipeline}` sets a title."
     ],
     recordings: [
       type: {:optional, {:fun, 1}},
       default: nil,
       doc:
-        "Finds a recording of another node, `NODE/NAME`: answers its address and options of its reader " <>
+        "Finds a recording on another node, `NODE/NAME`: returns its address and the options of its reader " <>
           "(`Situ.Cluster.Recordings.address/1`)."
     ],
     sources: [
@@ -23,84 +23,84 @@ defmodule Situ.Studio do
       default: %{},
       doc: "Other sources by name: `%{\"name\" => {module, handle}}`, see `Situ.Studio.Source`."
     ],
-    port: [type: {:range, 0, 65_535}, default: 4040, doc: "The port; 0 takes a free one."],
+    port: [type: {:range, 0, 65_535}, default: 4040, doc: "The port; 0 selects a free port."],
     ip: [
       type: :any,
       default: {127, 0, 0, 1},
-      doc: "The address to listen on. Anything but loopback needs the token."
+      doc: "The address to listen on. Any address except loopback requires the token."
     ],
     token: [
       type: {:or, [:string, {:in, [:auto, :none]}]},
       default: :auto,
       doc:
-        "The text that a browser must bring; a random one where one is needed and none is given."
+        "The token that a browser must send; a random token is generated if one is required but not given."
     ],
     viewer_token: [
       type: {:or, [:string, {:in, [:auto, :none]}]},
       default: :auto,
       doc:
-        "The text of links for those who may only look; a random one where there is a token and none is given."
+        "The token of view-only links; a random token is generated if the studio has a token and this is not given."
     ],
     tls: [
       type: {:or, [:keyword, {:in, [:own]}]},
       default: [],
       doc:
-        "`certfile:` and `keyfile:` of a certificate, or `:own` for one that is made for this " <>
-          "machine's names and kept " <>
+        "`certfile:` and `keyfile:` of a certificate, or `:own` to generate one for this " <>
+          "machine's names and store it " <>
           "in the user's configuration folder (`Situ.Certificate`)."
     ],
-    hosts: [type: :any, default: nil, doc: "Host names the server answers for; see `Situ.Live`."],
+    hosts: [type: :any, default: nil, doc: "Host names that the server accepts; see `Situ.Live`."],
     public: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "The address of the studio behind a proxy, such as `https://lab.example.org/studio`; see the guide " <>
-          "\"The studio\"."
+        "The public address of a studio served through a proxy, such as `https://lab.example.org/studio`; " <>
+          "see the guide \"The studio\"."
     ],
-    read_only: [type: :boolean, default: false, doc: "Nothing on disk can be changed."],
-    layouts: [type: {:optional, :string}, default: nil, doc: "The folder of saved layouts."],
+    read_only: [type: :boolean, default: false, doc: "Rejects every change to files on disk."],
+    layouts: [type: {:optional, :string}, default: nil, doc: "The folder for saved layouts."],
     visualizers: [
       type: :list,
       default: [],
-      doc: "Modules of further ways to draw streams, see `Situ.Studio.Visualizer`."
+      doc: "Additional visualizer modules, see `Situ.Studio.Visualizer`."
     ],
     adapters: [
       type: :list,
       default: [],
-      doc: "Modules that make of messages what visualizers take, see `Situ.Studio.Adapter`."
+      doc: "Modules that convert messages for visualizers, see `Situ.Studio.Adapter`."
     ],
     plugins: [
       type: :list,
       default: [],
-      doc: "Folders of plug-ins, see `Situ.Studio.Plugins`; or plug-ins that are loaded already."
+      doc: "Plug-in folders or plug-ins that are already loaded, see `Situ.Studio.Plugins`."
     ],
     tiles: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "Where maps take their pictures from: `https://.../{z}/{x}/{y}.png`, or a folder of such files. None are " <>
-          "fetched without it."
+        "The source of map tiles: `https://.../{z}/{x}/{y}.png`, or a folder of such files. Without it, maps have " <>
+          "no tiles."
     ],
     tiles_credit: [
       type: {:optional, :string},
       default: nil,
-      doc: "Who made these pictures, to be named on the map."
+      doc: "The attribution of the tiles, shown on the map."
     ],
-    id: [type: :string, default: "studio", doc: "Tells several studios of one VM apart."]
+    id: [type: :string, default: "studio", doc: "Distinguishes several studios in one VM."]
   ]
   @moduledoc """
-  The studio: recordings and running pipelines in a browser. On the command line it is `bin/situ studio PATH`; in an
-  application it is a child:
+  The studio shows recordings and running pipelines in a browser. Start it on the command line with
+  `bin/situ studio PATH`, or as a child of an application:
 
       children = [{Situ.Studio, path: "recordings", port: 4040}]
 
-  and shows pipelines of the same VM while they run:
+  It can also show running pipelines of the same VM:
 
       {:ok, pipeline} = Lobby.start_link(file: "talk1.mp4")
       {:ok, studio} = Situ.Studio.start_link(pipelines: [pipeline])
 
-  It listens on `127.0.0.1`. Told to listen elsewhere, it asks every browser for a token: `url/1` gives the address that
-  carries it.
+  The studio listens on `127.0.0.1`. If it is configured to listen on another address, browsers need a token; `url/1`
+  returns the address that includes it.
 
   ## Options
 
@@ -108,16 +108,17 @@ defmodule Situ.Studio do
 
   ## How it works
 
-  The page is a LiveView (`Situ.Live`): streams, layout and properties come from a process on the server. Times, cursor
-  and drawing live in the page. Data comes on one WebSocket, as binary answers to the page's own requests
-  (`Situ.Studio.DataSession`, `Situ.Studio.Frame`), at most one under way: a slow browser asks less often and slows
-  nothing down. Each way to draw a stream is a module here and one in the page (`Situ.Studio.Visualizer`).
+  The page is a LiveView (`Situ.Live`): a process on the server provides streams, layout and properties. The page
+  itself handles times, the cursor and drawing. Data arrives over one WebSocket, as binary replies to the page's
+  requests (`Situ.Studio.DataSession`, `Situ.Studio.Frame`). At most one request is in flight, so a slow browser sends
+  fewer requests and slows nothing else down. Each visualizer has a module here and one in the page
+  (`Situ.Studio.Visualizer`).
   """
   use Supervisor
 
   alias Situ.Studio.{Alerts, Batch, Catalog, PipelineView, Plugins, Tiles, Web}
 
-  @doc "A child of a supervision tree."
+  @doc "Returns the child specification of a studio."
   @spec child_spec(keyword()) :: Supervisor.child_spec()
   def child_spec(opts),
     do: %{
@@ -126,7 +127,7 @@ defmodule Situ.Studio do
       type: :supervisor
     }
 
-  @doc "Starts a studio. A port in use and the like are `{:error, error}`; a wrong option raises."
+  @doc "Starts a studio. Runtime problems such as a port in use return `{:error, error}`; an invalid option raises."
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Situ.Error.t()}
   def start_link(opts) do
     opts = Situ.Options.validate!(opts, @schema)
@@ -146,8 +147,8 @@ defmodule Situ.Studio do
 
       {:error, {:shutdown, {:failed_to_start_child, Catalog, {:already_started, _}}}} ->
         {:error,
-         Situ.Error.new(:already_started, "a studio called #{inspect(opts[:id])} runs already",
-           fix: "give the second one another id:"
+         Situ.Error.new(:already_started, "the studio #{inspect(opts[:id])} is already running",
+           fix: "give the second studio a different id:"
          )}
 
       other ->
@@ -199,7 +200,7 @@ defmodule Situ.Studio do
       if(opts[:tls] != [], do: [tls: opts[:tls]], else: [])
   end
 
-  # The base of every link in a page.
+  # Every link in a page starts with this path.
   defp base(opts) do
     case Situ.Live.Public.parse(opts[:public]) do
       {:ok, %{base: base}} -> base <> "/"
@@ -207,11 +208,11 @@ defmodule Situ.Studio do
     end
   end
 
-  @doc "The port a studio listens on."
+  @doc "Returns the port that a studio listens on."
   @spec port(Supervisor.supervisor()) :: :inet.port_number()
   def port(studio), do: studio |> live_server() |> Situ.Live.port()
 
-  @doc "The address to open, with the token when one is needed; `item` opens one recording."
+  @doc "Returns the address to open, including the token if one is required; `item` opens one recording."
   @spec url(Supervisor.supervisor(), String.t() | nil) :: String.t()
   def url(studio, item \\ nil) do
     path = if item, do: "/" <> Web.Address.of(item), else: "/"
@@ -219,8 +220,8 @@ defmodule Situ.Studio do
   end
 
   @doc """
-  The address for those who may only look: the server refuses to change, write or run anything for them. `nil` where the
-  studio needs no token (on the machine itself); `viewer_token:` gives it one.
+  Returns the view-only address: the server refuses to change, write or run anything for its users. Returns `nil` if
+  the studio has no token (it is local only); set one with `viewer_token:`.
   """
   @spec viewer_url(Supervisor.supervisor(), String.t() | nil) :: String.t() | nil
   def viewer_url(studio, item \\ nil) do
@@ -228,7 +229,7 @@ defmodule Situ.Studio do
     studio |> live_server() |> Situ.Live.viewer_url(path)
   end
 
-  @doc "The one thing there is to look at, when there is just one: then a browser need not choose."
+  @doc "Returns the id of the only item, so that a browser need not choose; `nil` if there are none or several."
   @spec only_item(Supervisor.supervisor()) :: String.t() | nil
   def only_item(studio) do
     catalog =

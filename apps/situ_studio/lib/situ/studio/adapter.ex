@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Adapter do
   @moduledoc """
-  Makes of the messages of a stream something that a visualizer takes: a stream of one shape is then offered
-  everything that draws the other.
+  Converts the messages of a stream into data of another shape. The stream can then be drawn by every visualizer that
+  accepts that shape.
 
       defmodule Loudness do
         @behaviour Situ.Studio.Adapter
@@ -20,8 +20,8 @@ defmodule Situ.Studio.Adapter do
 
       Situ.Studio.start_link(adapters: [Loudness])
 
-  The stream's menu then has "Line (Loudness)". An adapter must not keep state: messages are adapted in any order, those
-  that are looked at only.
+  The stream's menu then contains "Line (Loudness)". An adapter must be stateless: only displayed messages are
+  adapted, in any order.
   """
   alias Situ.Studio.{StreamInfo, Visualizer}
 
@@ -35,14 +35,14 @@ defmodule Situ.Studio.Adapter do
           to: StreamInfo.shape()
         }
 
-  @doc "The adapter's description: the shapes that it takes, and the one that it makes."
+  @doc "Returns the adapter's description: the shapes that it accepts, and the shape that it produces."
   @callback about() :: t()
 
-  @doc "The new data of a message; `:error` if this message has none."
+  @doc "Returns the adapted data of a message, or `:error` if the message has none."
   @callback adapt(data :: term(), Situ.Message.t()) :: {:ok, term()} | :error
 
   @doc """
-  The visualizers that an adapter opens: all that take what it makes, named after both.
+  Returns copies of the visualizers that accept the adapter's output; their names include the adapter's title.
 
       iex> defmodule Doubled do
       ...>   def about, do: %Situ.Studio.Adapter{id: "doubled", title: "Doubled", from: [:text], to: :boolean}

@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Alerts do
   @moduledoc """
-  The alerts of one studio: its rules (`Situ.Studio.Alerts.Rule`, kept with the settings) held against its running
-  pipelines once a second. An alert is raised when its rule becomes true and cleared when it no longer is; both times
-  stay until the rule or the pipeline is gone.
+  The alerts of one studio. Once a second its rules (`Situ.Studio.Alerts.Rule`, saved with the settings) are evaluated
+  for its running pipelines. An alert is raised when its rule becomes true and cleared when the rule is no longer
+  true; both times are kept until the rule or the pipeline is removed.
   """
   use GenServer
 
@@ -14,7 +14,7 @@ defmodule Situ.Studio.Alerts do
 
   @tick_ms 1_000
 
-  @typedoc "One alert of a pipeline; `cleared` is `nil` while it lasts. Times are wall-clock ns."
+  @typedoc "One alert of a pipeline; `cleared` is `nil` while the alert is active. Times are wall-clock ns."
   @type alert :: %{
           rule: String.t(),
           text: String.t(),
@@ -23,13 +23,13 @@ defmodule Situ.Studio.Alerts do
         }
 
   @doc """
-  Starts the alerts of the studio `:id`; `tick: false` leaves the seconds to the caller (`look/2`), and `of:` names
-  another studio to look into.
+  Starts the alerts of the studio `:id`. With `tick: false`, the caller triggers each evaluation (`look/2`); `of:`
+  names a different studio to evaluate.
   """
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
 
-  @doc "The alerts of the item `title`: those that last first, then the newest."
+  @doc "Returns the alerts of the item `title`: active alerts first, then the newest."
   @spec of(Catalog.id(), String.t()) :: [alert()]
   def of(id, title) do
     case Registry.lookup(Situ.Studio.Registry, {id, :alerts}) do
@@ -41,15 +41,15 @@ defmodule Situ.Studio.Alerts do
         []
     end
   rescue
-    # the table went with its process
+    # The table was deleted when its process exited.
     ArgumentError -> []
   end
 
-  @doc "How many of them last."
+  @doc "Returns the number of active alerts of the item `title`."
   @spec count(Catalog.id(), String.t()) :: non_neg_integer()
   def count(id, title), do: id |> of(title) |> Enum.count(&(&1.cleared == nil))
 
-  @doc "Holds the rules against the pipelines as they are at `now`."
+  @doc "Evaluates the rules for the running pipelines at time `now`."
   @spec look(GenServer.server(), Situ.Time.t()) :: :ok
   def look(server, now), do: GenServer.call(server, {:look, now}, 30_000)
 
@@ -86,7 +86,7 @@ defmodule Situ.Studio.Alerts do
     end
   end
 
-  # Of rules that are gone, and of those that say something else now.
+  # Removes the alerts of rules that were deleted or changed, and of pipelines that are no longer running.
   defp forget(table, running, rules) do
     known = MapSet.new(rules, &{&1.name, &1.expression.source})
 
@@ -95,7 +95,7 @@ defmodule Situ.Studio.Alerts do
         do: :ets.delete(table, key)
   end
 
-  # A pipeline that has just ended has nothing to tell.
+  # A pipeline that has just ended has no snapshot, so its rules are skipped.
   defp held(state, title, rules, now) do
     with {:ok, _item, source} <- Catalog.open(state.id, title),
          {:ok, {:live, _} = feed} <- Feed.open(source),

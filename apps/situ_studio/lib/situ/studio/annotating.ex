@@ -1,11 +1,11 @@
 defmodule Situ.Studio.Annotating do
   @moduledoc """
-  Annotations of one recording while people edit them in the page: where they are kept, what the page is told, and what
-  each of its requests does to them.
+  Edits the annotations of one recording on behalf of a page: opens them, returns their state for display, and applies
+  the page's requests.
 
-  Each stream lies in a store of its own beside the recording (`Situ.Studio.Annotating.Shelf`), which is never
-  changed in place. Every edit is on the disk before it is answered (`Situ.Annotation.Editor`): a page or a server that
-  dies loses none.
+  Each stream has its own store next to the recording (`Situ.Studio.Annotating.Shelf`); the recording itself is never
+  modified. Every edit is written to disk before it is acknowledged (`Situ.Annotation.Editor`), so a crash of the page
+  or the server loses nothing.
 
       iex> {:ok, schema} = Situ.Studio.Annotating.schema("Speech", "speaks 1 #1f77b4\\nlaughs 2")
       iex> for v <- hd(schema.attributes).values, do: {v.value, v.key, v.fill}
@@ -21,7 +21,7 @@ defmodule Situ.Studio.Annotating do
 
   @most 20_000
 
-  @doc "The schema of one attribute from what a person writes: a value a line, with its key and its colour behind it."
+  @doc "Parses a schema of one attribute from text: one value per line, followed by its key and its color."
   @spec schema(String.t(), String.t()) :: {:ok, Schema.t()} | {:error, Error.t()}
   def schema(name, text) do
     values =
@@ -41,7 +41,7 @@ defmodule Situ.Studio.Annotating do
     {marks, words} =
       line |> String.split() |> Enum.reverse() |> Enum.split_while(&(mark(&1) != nil))
 
-    # a value that looks like a key is a value all the same
+    # A line that contains only a key or a color still needs a value: the first word is the value.
     {marks, words} =
       if words == [], do: {Enum.drop(marks, -1), [List.last(marks)]}, else: {marks, words}
 
@@ -55,7 +55,7 @@ defmodule Situ.Studio.Annotating do
   defp mark(_), do: nil
 
   @doc """
-  The schema of boxes or points on pictures: their places are numbers, in pixels, and each annotation is a key frame.
+  Builds the schema of boxes or points on images: positions are numbers in pixels, and each annotation is a key frame.
   """
   @spec spatial(String.t(), :box | :point) :: Schema.t()
   def spatial(name, kind) do
@@ -66,7 +66,7 @@ defmodule Situ.Studio.Annotating do
   end
 
   @doc """
-  The editor of a stream of annotations, started for the first page that asks; `schema` makes one that is not there yet.
+  Returns the editor of a stream of annotations, and starts it on the first call. `schema` creates a missing stream.
   """
   @spec open(Catalog.id(), Path.t(), String.t(), Schema.t() | nil) ::
           {:ok, pid()} | {:error, Error.t()}
@@ -90,14 +90,14 @@ defmodule Situ.Studio.Annotating do
     end
   end
 
-  # The journal does not hold the schema: of a stream just made it is written at once.
+  # The journal does not contain the schema, so a new stream is saved immediately.
   defp kept(pid, nil), do: {:ok, pid}
 
   defp kept(pid, _schema) do
     with {:ok, _} <- Editor.save(pid), do: {:ok, pid}
   end
 
-  @doc "Everything the page draws of them."
+  @doc "Returns everything that the page needs to draw the annotations of a stream."
   @spec told(pid(), String.t()) :: map()
   def told(editor, stream) do
     layer = Editor.layer(editor)
@@ -121,7 +121,7 @@ defmodule Situ.Studio.Annotating do
     %{name: a.name, kind: a.kind, default: a.default, fill: a.fill, values: values}
   end
 
-  # Times as text: the page's numbers are not exact that far from 1970.
+  # Times are strings because JavaScript numbers cannot represent ns since 1970 exactly.
   defp item(a) do
     %{
       id: a.id,
@@ -136,7 +136,7 @@ defmodule Situ.Studio.Annotating do
     }
   end
 
-  @doc "Carries out an edit of the page; an error names the rule that it would break."
+  @doc "Applies an edit from the page; an error names the rule that the edit would break."
   @spec edit(pid(), map()) :: :ok | {:error, Error.t()}
   def edit(editor, %{"do" => "undo"}), do: done(Editor.undo(editor))
   def edit(editor, %{"do" => "redo"}), do: done(Editor.redo(editor))
@@ -151,8 +151,8 @@ defmodule Situ.Studio.Annotating do
   defp done(error), do: error
 
   @doc """
-  Gives a stream of annotations another schema: what the page has edited. Annotations follow what was renamed; a value
-  that some of them have cannot be taken away.
+  Replaces the schema of a stream of annotations with the draft that was edited in the page. Annotations follow
+  renamed attributes and values; a value that annotations use cannot be removed.
   """
   @spec put_schema(pid(), [SchemaForm.attribute()]) :: :ok | {:error, Error.t()}
   def put_schema(editor, draft) do
@@ -174,8 +174,8 @@ defmodule Situ.Studio.Annotating do
   end
 
   @doc """
-  Proposals out of a stream's intervals, a track for each lane: `{:ok, how_many}`. A state or a text that the schema
-  knows is the value; one that it does not know is no proposal. Those that overlap with annotations are left out.
+  Adds proposals from a stream's intervals, one track per lane, and returns `{:ok, count}`. A state or text that the
+  schema knows becomes the value; unknown ones are skipped, as are proposals that overlap with annotations.
   """
   @spec propose(pid(), [Proposals.t()], String.t()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
@@ -209,5 +209,5 @@ defmodule Situ.Studio.Annotating do
     end
   end
 
-  defp bad, do: {:error, Error.new(:bad_request, "not an edit of annotations")}
+  defp bad, do: {:error, Error.new(:bad_request, "invalid annotation edit")}
 end

@@ -7,13 +7,13 @@ defmodule Situ.Studio.Application do
 
   @impl true
   def start(_type, _args) do
-    # Recorded structs of these modules can be read only once the atoms of their fields exist.
+    # Recorded structs of these modules can be decoded only after the atoms of their fields exist.
     Enum.each(@drawn, &Code.ensure_loaded/1)
 
     # One registry for all studios of the VM: pages find their studio by the name in their session.
     children = [
       {Registry, keys: :unique, name: Situ.Studio.Registry},
-      # and pages that look at the same find one another
+      # Lets pages that show the same item find each other.
       {Registry, keys: :duplicate, name: Situ.Studio.Peers},
       {Task.Supervisor, name: Situ.Studio.Tasks}
     ]

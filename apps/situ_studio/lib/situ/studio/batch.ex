@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Batch do
   @moduledoc """
-  The batch runs of a studio. They go on when the page that began them is closed, and every page of the dataset sees
-  them. A run that dies with the server is offered again (`Situ.Studio.Batch.Left`), and does what is not done
-  (`Situ.Dataset.Derivation`).
+  The batch runs of a studio. A run continues after the page that started it is closed, and every page of the dataset
+  shows it. A run that was interrupted by a server crash is offered again (`Situ.Studio.Batch.Left`) and processes
+  only the remaining sessions (`Situ.Dataset.Derivation`).
   """
   use GenServer
 
@@ -11,24 +11,24 @@ defmodule Situ.Studio.Batch do
   alias Situ.Studio.Batch.{Left, Run}
   alias Situ.Studio.Datasets
 
-  # How often pages are updated, and how many finished runs are kept.
+  # The minimum interval between page updates, and the number of finished runs to keep.
   @tell_ms 250
   @kept 20
 
-  @doc "Starts it for the studio called `:id`."
+  @doc "Starts the batch runner of the studio `:id`."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts[:id], name: via(opts[:id]))
 
   defp via(id), do: {:via, Registry, {Situ.Studio.Registry, {id, :batch}}}
 
-  @doc "The runs over the dataset in `file`, newest first; from now on the caller gets `{:batch, file, runs}`."
+  @doc "Returns the runs over the dataset in `file`, newest first, and sends updates as `{:batch, file, runs}`."
   @spec subscribe(String.t(), Path.t()) :: [Run.t()]
   def subscribe(studio, file), do: GenServer.call(via(studio), {:subscribe, file, self()})
 
   @doc """
-  Begins the task of that name over `sessions` of the dataset; `config` are its options as a page or a file has them.
-  `opts`: `:output` (else the task's own), `:overwrite`, `:parallel`. Errors: `:no_task`, those of its options, `:busy`
-  when one with the same output runs already.
+  Starts the task `task` over `sessions` of the dataset; `config` contains its options as read from a page or a file.
+  `opts`: `:output` (default: the task's output), `:overwrite`, `:parallel`. Errors: `:no_task`, invalid options, and
+  `:busy` when a run with the same output is in progress.
   """
   @spec start(String.t(), {pid(), Path.t()}, String.t(), [String.t()], map(), keyword()) ::
           {:ok, pos_integer()} | {:error, Error.t()}
@@ -48,12 +48,12 @@ defmodule Situ.Studio.Batch do
 
   defp chosen(dataset, names) do
     case Enum.filter(dataset.sessions, &(&1.name in names)) do
-      [] -> {:error, Error.new(:no_session, "no session is chosen", fix: "choose at least one")}
+      [] -> {:error, Error.new(:no_session, "no session is selected", fix: "select at least one")}
       sessions -> {:ok, sessions}
     end
   end
 
-  @doc "Ends a run; the sessions that are done keep their output."
+  @doc "Cancels a run; finished sessions keep their output."
   @spec cancel(String.t(), pos_integer()) :: :ok
   def cancel(studio, id), do: GenServer.call(via(studio), {:cancel, id})
 
@@ -106,7 +106,7 @@ defmodule Situ.Studio.Batch do
     do: Enum.any?(state.runs, &match?(%{file: ^file, output: ^output, status: :running}, &1))
 
   defp busy(name),
-    do: Error.new(:busy, "#{name} is being made already", fix: "wait for it, or cancel it")
+    do: Error.new(:busy, "#{name} is already being computed", fix: "wait for it, or cancel it")
 
   defp work(owner, id, {server, file}, {module, sessions, opts}, cancel) do
     commit = fn server, session, partition ->
@@ -136,7 +136,7 @@ defmodule Situ.Studio.Batch do
 
   def handle_info({:DOWN, ref, _, _, reason}, %{tasks: tasks} = state)
       when is_map_key(tasks, ref) do
-    error = Error.new(:run_crashed, "the run has ended: #{inspect(reason, limit: 10)}")
+    error = Error.new(:run_crashed, "the run crashed: #{inspect(reason, limit: 10)}")
     {:noreply, over(state, ref, {:error, error})}
   end
 
@@ -155,7 +155,7 @@ defmodule Situ.Studio.Batch do
   defp change(state, id, fun),
     do: %{state | runs: Enum.map(state.runs, &if(&1.id == id, do: fun.(&1), else: &1))}
 
-  # Pages are updated at once, but not more often than they can draw.
+  # Limits updates to a rate that pages can draw.
   defp later(%{due: nil} = state) do
     case now() - state.told do
       ago when ago >= @tell_ms -> tell(state)

@@ -1,10 +1,10 @@
 defmodule Situ.Studio.Catalog do
   @moduledoc """
-  The sources of one studio: the recordings below its folder, the sources it was given and the pipelines it watches.
-  Hands out open sources, so that many pages share one; a recording opened once stays open until it is gone.
+  The sources of one studio: the recordings in its folder, the configured sources and the pipelines that it watches.
+  Open sources are shared by all pages; a recording that was opened stays open until it is deleted.
 
-  A task scans the folder, at most every two seconds and only on request, so that in a folder of many thousand files
-  only the first request waits. A recording is opened by its name without looking through the rest.
+  A task scans the folder on request and at most every two seconds, so that even in a folder of thousands of files
+  only the first request waits. A recording can be opened by name without a scan.
   """
   use GenServer
 
@@ -14,14 +14,15 @@ defmodule Situ.Studio.Catalog do
   alias Situ.Studio.Datasets.Place
   alias Situ.Studio.{Layouts, Source, Stores}
 
-  # How old the list of recordings may be.
+  # The maximum age of the list of recordings.
   @fresh_ms 2_000
 
   defmodule Item do
     @moduledoc """
-    One thing to look at; `id` is what stands in the address. `:elsewhere` is a recording of another machine, whose
-    `path` is its address (`situ://...`), `:node` one of a node of the cluster (`NODE/NAME`): nothing is written beside
-    them. A session of a dataset has `parts`, its recordings; what belongs to a dataset names it by `dataset`, its id.
+    An item of the catalog; its `id` is used in addresses. The kind `:elsewhere` is a recording on another machine
+    with the address `path` (`situ://...`), and `:node` is a recording on a cluster node (`NODE/NAME`): nothing is
+    written next to either. A session of a dataset lists its recordings in `parts`; `dataset` is the id of the dataset
+    that an item belongs to.
     """
     @enforce_keys [:id, :title, :kind]
     defstruct [:id, :title, :kind, :path, :dataset, parts: [], live: false]
@@ -39,7 +40,7 @@ defmodule Situ.Studio.Catalog do
 
   @type id :: String.t()
 
-  @doc "Starts the catalog of the studio called `:id`; the other options are those of `Situ.Studio`."
+  @doc "Starts the catalog of the studio `:id`; the other options are options of `Situ.Studio`."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts) do
     settings = %{
@@ -63,31 +64,32 @@ defmodule Situ.Studio.Catalog do
   def watches(id), do: via({id, :watches})
 
   @doc """
-  Settings that pages ask for: `:path`, `:read_only`, `:visualizers`, `:layouts`, `:tiles`, the `:problems` of plug-ins.
+  Returns the settings for pages: `:path`, `:read_only`, `:visualizers`, `:layouts`, `:tiles`, `:problems` of
+  plug-ins.
   """
   @spec settings(id()) :: map()
   def settings(id) do
-    # beside its name: nobody waits for a catalog that opens a recording
+    # The settings are in the registry, so that reading them never waits for a catalog that opens a recording.
     [{_, settings}] = Registry.lookup(Situ.Studio.Registry, id)
     settings
   end
 
-  @doc "Everything there is to look at now."
+  @doc "Returns all items that can be opened now."
   @spec list(id()) :: [Item.t()]
   def list(id), do: GenServer.call(via(id), :list, 30_000)
 
-  @doc "Forgets the list of recordings: a new one was just made, and the next list holds it."
+  @doc "Discards the list of recordings, so that the next list includes a recording that was just written."
   @spec look_again(id()) :: :ok
   def look_again(id), do: GenServer.call(via(id), :look_again, 30_000)
 
-  @doc "Opens one of them. A value that is no text names nothing."
+  @doc "Opens an item by its id. An id that is not a string is not found."
   @spec open(id(), term()) :: {:ok, Item.t(), Source.t()} | {:error, Error.t()}
   def open(id, item_id) when is_binary(item_id),
     do: GenServer.call(via(id), {:open, item_id}, 60_000)
 
   def open(_id, item_id), do: {:error, not_found(item_id)}
 
-  @doc "One of them, without opening it."
+  @doc "Returns an item by its id without opening it."
   @spec find(id(), term()) :: {:ok, Item.t()} | {:error, Error.t()}
   def find(id, item_id) when is_binary(item_id),
     do: GenServer.call(via(id), {:find, item_id}, 60_000)
@@ -145,7 +147,7 @@ defmodule Situ.Studio.Catalog do
     {:noreply, answer(state, waiting)}
   end
 
-  # The previous list is better than none.
+  # If the scan crashed, the previous list stays in use.
   def handle_info({:DOWN, task, :process, _, _}, %{looking: %Task{ref: task}} = state) do
     waiting = state.waiting
 
@@ -168,7 +170,7 @@ defmodule Situ.Studio.Catalog do
     state
   end
 
-  # Looks through the folder, unless that is under way or was done a moment ago.
+  # Scans the folder, unless a scan is running or has just finished.
   defp look(%{looking: nil, looked_at: at, path: path} = state) do
     if at == nil or now() - at >= @fresh_ms,
       do: %{
@@ -182,7 +184,7 @@ defmodule Situ.Studio.Catalog do
 
   defp now, do: System.monotonic_time(:millisecond)
 
-  # An address names an item, never a path: only recordings below the folder can be opened.
+  # An address contains an item's id, never a path, so only recordings in the folder can be opened.
   defp found(state, id) do
     case Enum.find(given(state), &(&1.id == id)) || store(state, id) || of_dataset(state, id) ||
            of_node(state, id) do
@@ -197,7 +199,7 @@ defmodule Situ.Studio.Catalog do
   defp not_found(id) do
     Error.new(
       :not_found,
-      "there is no recording called #{inspect(id, limit: 5, printable_limit: 200)}",
+      "there is no recording named #{inspect(id, limit: 5, printable_limit: 200)}",
       fix: "choose one from the list of recordings"
     )
   end
@@ -212,7 +214,7 @@ defmodule Situ.Studio.Catalog do
   defp kind(path), do: if(Formats.for_address(path), do: :elsewhere, else: :store)
   defp dataset_item(id, path), do: %Item{id: id, title: id, kind: :dataset, path: path}
 
-  # A recording of another node of the cluster, `NODE/NAME`: opening it asks the node.
+  # The id of a recording on another cluster node is `NODE/NAME`; the node is asked when it is opened.
   defp of_node(%{nodes: nil}, _id), do: nil
 
   defp of_node(_state, id) do
@@ -226,7 +228,7 @@ defmodule Situ.Studio.Catalog do
     end
   end
 
-  # A dataset, a session of it, or a recording of that: the dataset says where it lies.
+  # Resolves a dataset, one of its sessions, or a recording of a session, whose path is in the dataset.
   defp of_dataset(state, id) do
     case Stores.dataset(state.path, id) do
       {:ok, path} -> dataset_item(id, path)
@@ -251,7 +253,7 @@ defmodule Situ.Studio.Catalog do
     end
   end
 
-  # A session with a single recording can be annotated and exported like that recording.
+  # A session with only one recording supports everything that the recording supports, such as annotations.
   defp part_item(id, dataset, %{partitions: [one]} = session, []),
     do: %{store_item(id, one.path) | title: session.name, dataset: dataset}
 
@@ -267,7 +269,7 @@ defmodule Situ.Studio.Catalog do
       given(state) ++ for {id, path} <- recordings, do: store_item(id, path)
   end
 
-  # Everything but the recordings of the folder.
+  # Returns all items except the recordings of the folder.
   defp given(state) do
     given = for {id, _} <- state.given, do: %Item{id: id, title: id, kind: :source}
 
@@ -275,7 +277,7 @@ defmodule Situ.Studio.Catalog do
       for {id, _} <- Situ.Studio.Source.Pipeline.running(state.pipelines),
           do: %Item{id: id, title: id, kind: :pipeline, live: true}
 
-    # one that was looked at and has ended: what was seen of it is still there
+    # A pipeline that was open when it ended stays listed, because the data that was received is still available.
     ended =
       for {{id, _, _}, {Situ.Studio.Source.Pipeline, _}} <- state.open,
           not Enum.any?(running, &(&1.id == id)),
@@ -298,7 +300,7 @@ defmodule Situ.Studio.Catalog do
     end
   end
 
-  # A dataset may say another place of it by now.
+  # The path is part of the key because a dataset may have been edited to refer to another path.
   defp key(%Item{id: id, path: path, parts: parts}), do: {id, path, parts}
 
   defp open_item(state, %Item{kind: :session} = item) do

@@ -1,6 +1,7 @@
 defmodule Situ.Studio.ClusterRates do
   @moduledoc """
-  Rates between two looks at a cluster: messages a second of each stream, bytes a second of each link. Pure.
+  Rates between two snapshots of a cluster: messages per second of each stream and bytes per second of each link.
+  Pure.
 
       iex> alias Situ.Studio.ClusterRates
       iex> part = %{deployment: "Hall", part: "Lips", streams: [%{name: "Mouth", messages: 100, readers: []}]}
@@ -14,13 +15,13 @@ defmodule Situ.Studio.ClusterRates do
   """
   alias Situ.Cluster.Overview
 
-  @doc "Messages a second by deployment, part and stream; of what was there both times."
+  @doc "Returns messages per second by deployment, part and stream, for streams that are in both snapshots."
   @spec streams(Overview.t() | nil, Overview.t()) :: %{
           {String.t(), String.t(), String.t()} => float()
         }
   def streams(before, now), do: rates(before, now, &counts/1)
 
-  @doc "Bytes a second by node and address."
+  @doc "Returns bytes per second by node and address."
   @spec links(Overview.t() | nil, Overview.t()) :: %{{node(), String.t()} => float()}
   def links(before, now),
     do: rates(before, now, &for(l <- &1.links, into: %{}, do: {{l.node, l.address}, l.bytes}))
@@ -32,7 +33,7 @@ defmodule Situ.Studio.ClusterRates do
         do: {{p.deployment, p.part, s.name}, s.messages}
   end
 
-  # A count that went back is another one: its part has started anew.
+  # A count that decreased was reset by a restart of its part, so it has no rate.
   defp rates(%Overview{time: from} = before, %Overview{time: to} = now, counts) when to > from do
     earlier = counts.(before)
 
@@ -46,7 +47,7 @@ defmodule Situ.Studio.ClusterRates do
   defp rates(_none, _now, _counts), do: %{}
 
   @doc """
-  Whether somebody is behind so far that it is catching up: more than a second of what comes, and a hundred messages.
+  Returns whether a reader is catching up: it lags by more than one second of messages and by more than 100 messages.
 
       iex> Situ.Studio.ClusterRates.catching_up?(5_000, 30.0)
       true

@@ -1,13 +1,13 @@
 defmodule Situ.Studio.Color do
   @moduledoc """
-  Which of the page's colours a stream has: the same in every panel, by its place among all streams. The colours
-  themselves are in the style sheet; here they are numbers.
+  Assigns colors to streams. A stream has the same color in every panel, given by its rank among all streams. The
+  colors themselves are in the style sheet; here they are numbers.
 
       iex> ranks = Situ.Studio.Color.ranks(["Mic.Level", "Imu.Y", "Imu.X"])
       iex> Situ.Studio.Color.of(["Imu.Y", "Mic.Level"], ranks)
       [1, 2]
 
-  Two streams of one panel differ: the second that would have a colour takes the next one that is free.
+  Streams in one panel have different colors: a stream whose color is taken gets the next free one.
 
       iex> Situ.Studio.Color.of(["a", "b", "c"], %{"a" => 3, "b" => 11, "c" => 4})
       [3, 4, 5]
@@ -16,7 +16,7 @@ defmodule Situ.Studio.Color do
 
   @colors 8
 
-  @doc "The place of each of all streams; a derived one (`= ...`) comes after them, and changes no other's."
+  @doc "Ranks all streams. Derived streams (`= ...`) come last, so they do not change the rank of other streams."
   @spec ranks([String.t()]) :: %{optional(String.t()) => non_neg_integer()}
   def ranks(names) do
     names
@@ -25,7 +25,7 @@ defmodule Situ.Studio.Color do
     |> Map.new()
   end
 
-  @doc "The colours of the streams of one panel, in their order."
+  @doc "Returns the colors of the streams of one panel, in order."
   @spec of([String.t()], map()) :: [0..7]
   def of(streams, ranks) do
     {colors, _} =

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Comparison do
   @moduledoc """
-  A recording compared with another one: both on one time axis, the second shifted so that their beginnings, or an event
-  in each, fall together. An address names the second by `with` and the shift by `offset`, in ns.
+  Compares two recordings on one time axis. The second is shifted so that the beginnings, or an event in each,
+  coincide. In an address, `with` names the second recording and `offset` is the shift in ns.
   """
   alias Situ.Error
   alias Situ.Studio.{Catalog, Layout, Source, WholeNumber}
@@ -10,7 +10,7 @@ defmodule Situ.Studio.Comparison do
   @enforce_keys [:id, :title, :offset, :first, :second]
   defstruct [:id, :title, :offset, :first, :second]
 
-  @typedoc "The second item, the shift of its times, and when each begins and ends by its own clock."
+  @typedoc "The second item, the shift of its times, and the extent of both recordings by their own clocks."
   @type t :: %__MODULE__{
           id: String.t(),
           title: String.t(),
@@ -19,7 +19,7 @@ defmodule Situ.Studio.Comparison do
           second: Source.extent()
         }
 
-  @doc "Opens an item, with the one that `params` compares it with, if any."
+  @doc "Opens an item, together with the item that `params` compares it with, if any."
   @spec open(Catalog.id(), term(), map()) ::
           {:ok, Catalog.Item.t(), Source.t(), t() | nil} | {:error, Error.t()}
   def open(studio, id, %{"with" => other} = params) when is_binary(other) and other != "" do
@@ -49,7 +49,7 @@ defmodule Situ.Studio.Comparison do
     with {:ok, item, source} <- Catalog.open(studio, id), do: {:ok, item, source, nil}
   end
 
-  @doc "The same two sources with another shift; a source that compares nothing stays as it is."
+  @doc "Changes the time offset of the compared source; other sources are returned unchanged."
   @spec align(Source.t(), Situ.Time.duration()) :: Source.t()
   def align({Derived, %{source: {Beside, beside}}}, offset),
     do: Derived.wrap({Beside, %{beside | offset: offset}})
@@ -57,9 +57,9 @@ defmodule Situ.Studio.Comparison do
   def align(source, _offset), do: source
 
   @doc """
-  The layout with each stream of the first beside that of the same name of the second: lines and lanes in one panel,
-  pictures and values in panels side by side. The second's streams that the layout shows already are not added
-  again. `names` are all streams.
+  Adds to each stream of the first recording the stream with the same name of the second: lines and lanes in the same
+  panel, images and values in a panel next to it. Streams of the second recording that are already in the layout are
+  not added again. `names` contains all streams.
 
       iex> alias Situ.Studio.{Comparison, Layout}
       iex> {:ok, layout, _} = Layout.add(Layout.new(""), "Level", "line", :plot, "")
@@ -83,7 +83,7 @@ defmodule Situ.Studio.Comparison do
           [] ->
             {[panel], next}
 
-          # each beside its own twin
+          # Each stream is followed by its counterpart.
           _ when panel.panel in [:plot, :lanes] ->
             both = Enum.flat_map(panel.vis, &[&1 | twins.(&1)])
             {[%{panel | vis: Enum.take(both, vis)}], next}

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Coverage do
   @moduledoc """
-  Which streams begin later, or end earlier, than the recording they are in by so much that it should be seen: a camera
-  that was switched on late, a microphone that died. Pure.
+  Finds streams that begin noticeably later or end noticeably earlier than their recording, such as a camera that was
+  switched on late or a microphone that failed. Pure.
 
       iex> stream = fn name, first, last ->
       ...>   %Situ.Studio.StreamInfo{name: name, shape: :signal, first: first, last: last, count: 99}
@@ -14,14 +14,14 @@ defmodule Situ.Studio.Coverage do
   """
   alias Situ.Studio.{Source, StreamInfo}
 
-  # Less than this part of the recording is not worth a mark, nor is so little that the stream's own pace explains it.
+  # Shorter differences are ignored, as are differences of a few periods, which the stream's own rate explains.
   @part 0.01
   @periods 3
 
-  @typedoc "Times in ns as text, as the page reads them."
+  @typedoc "Times in ns as strings, the format that the page reads."
   @type t :: %{optional(stream :: String.t()) => %{optional(String.t()) => String.t()}}
 
-  @doc "Empty while a recording grows: what has ended is not known yet. A single message is no stretch of time."
+  @doc "Returns the late and early times by stream; empty for live sources, whose streams have not ended yet."
   @spec of([StreamInfo.t()], Source.extent() | map()) :: t()
   def of(_, %{live: true}), do: %{}
 
@@ -35,7 +35,7 @@ defmodule Situ.Studio.Coverage do
   end
 
   @doc """
-  From the first message of all streams to the last, as the page reads times; `nil` where none has any.
+  Returns the time of the first and the last message of all streams as strings, or `nil` if no stream has messages.
 
       iex> stream = fn first, last -> %Situ.Studio.StreamInfo{name: "", shape: :signal, first: first, last: last} end
       iex> Situ.Studio.Coverage.whole([stream.(5, 9), stream.(nil, nil), stream.(7, nil)])

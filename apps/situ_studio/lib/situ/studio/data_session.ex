@@ -1,27 +1,27 @@
 defmodule Situ.Studio.DataSession do
   @moduledoc """
-  One page's conversation about data, as pure requests and answers; the socket around it only carries bytes.
+  Handles the data requests of one page as pure functions; the socket only transports bytes.
 
-  The page sends JSON, one request at a time, and gets one binary answer (`Situ.Studio.Frame`) to each, so that what is
-  under way is bounded by the page's own pace:
+  The page sends one JSON request at a time and receives one binary reply (`Situ.Studio.Frame`) to each, so that the
+  amount of data in flight is bounded by the page's own pace:
 
       {"req": 7, "at": "1700000000000000000", "live": false, "snap": "Camera.Image",
        "open": [[1, {"stream": "Mic.Level", "viz": "line", "path": ""}]], "close": [],
        "series": [[1, FROM, TO, BIN]], "instant": [2]}
 
-  `at` is the cursor, `series` are windows in ns (as text) with bins of BIN ns, `instant` the channels that show the
-  message at the cursor. When `live` is true the newest time takes the place of `at`. With `snap` the cursor goes to the
-  nearest message of that stream. `offset` shifts the second of two recordings that are compared
+  `at` is the cursor, `series` lists windows in ns (as strings) with bins of BIN ns, and `instant` lists the channels
+  that show the message at the cursor. If `live` is true, the newest time replaces `at`. With `snap`, the cursor moves
+  to the nearest message of that stream. `offset` shifts the second of two compared recordings
   (`Situ.Studio.Comparison`).
   """
   alias Situ.{Error, Studio}
   alias Studio.{Comparison, Draw, Frame, Source, Visualizer, Visualizers, WholeNumber}
 
-  # A stream in a plot has two channels: one for its window, and one for its value at the cursor.
+  # A stream in a plot uses two channels: one for its window, and one for its value at the cursor.
   @max_channels 512
   @max_wants 512
   @max_bins 50_000
-  # All windows of one request together: a screen of 8,000 pixels with 25 plots.
+  # The limit for all windows of one request, enough for 25 plots on a screen of 8,000 pixels.
   @max_bins_at_once 200_000
   @max_span 4_000_000_000_000_000_000
 
@@ -42,11 +42,11 @@ defmodule Situ.Studio.DataSession do
           extent: Source.extent()
         }
 
-  @doc "A conversation about `source`; `visualizers` are the studio's own beside the built-in ones."
+  @doc "Creates a session for `source`; `visualizers` are the studio's additions to the built-in ones."
   @spec new(Source.t(), [Visualizer.given()]) :: t()
   def new(source, visualizers \\ []), do: %__MODULE__{source: source, visualizers: visualizers}
 
-  @doc "The answer to one request; `{:error, error}` when it is no request at all (close the socket)."
+  @doc "Returns the reply to one request. After `{:error, error}`, which rejects malformed input, close the socket."
   @spec handle(binary(), t()) :: {:ok, iodata(), t()} | {:error, Error.t()}
   def handle(text, %__MODULE__{} = session) do
     with {:ok, request} <- decode(text) do
@@ -81,7 +81,7 @@ defmodule Situ.Studio.DataSession do
     end
   end
 
-  # Of two recordings that are compared the second is shifted.
+  # Shifts the second of two compared recordings.
   defp align(session, offset) do
     case WholeNumber.parse(offset) do
       {:ok, offset} -> %{session | source: Comparison.align(session.source, offset)}
@@ -89,9 +89,9 @@ defmodule Situ.Studio.DataSession do
     end
   end
 
-  defp malformed, do: {:error, Error.new(:bad_request, "this is not a request for data")}
+  defp malformed, do: {:error, Error.new(:bad_request, "invalid data request")}
 
-  # A source that went away keeps the extents it had, so that the page stays where it is.
+  # A source that disappeared keeps its extent, so that the page does not move.
   defp refresh(session) do
     case Source.call(session.source, :extent, []) do
       {:ok, extent} -> {:there, %{session | extent: extent}}
@@ -102,7 +102,7 @@ defmodule Situ.Studio.DataSession do
 
   defp ended(session), do: %{session | extent: %{session.extent | live: false}}
 
-  # A page asks for windows only where something is new: what it shows is wanted all the same.
+  # A page requests only windows with new data, but needs all streams that it shows to be captured.
   defp show(%{extent: %{live: true}, channels: channels} = session) do
     streams = for {_, {%{stream: stream}, _}} <- channels, uniq: true, do: stream
     Source.wanted(session.source, streams)
@@ -137,7 +137,7 @@ defmodule Situ.Studio.DataSession do
       props = if is_map(spec["props"]), do: spec["props"], else: %{}
       %{stream: stream, viz: viz, path: path, props: props}
     else
-      :error -> {:error, "there is no visualizer called #{inspect(id)}"}
+      :error -> {:error, "there is no visualizer named #{inspect(id)}"}
       {:error, error} -> {:error, error.what}
     end
   end
@@ -185,11 +185,11 @@ defmodule Situ.Studio.DataSession do
 
   defp bins(_want), do: 0
 
-  # One that is refused by itself costs nothing.
+  # A window that exceeds the limit on its own is rejected anyway, so it does not count.
   defp affordable(bins), do: if(bins > @max_bins + 1, do: 0, else: bins)
 
   defp too_many([id | _]) when is_integer(id) and id in 0..4_294_967_295,
-    do: Frame.error(id, "the windows of one request have too many bins together")
+    do: Frame.error(id, "the windows of this request have too many bins in total")
 
   defp too_many(_want), do: nil
 

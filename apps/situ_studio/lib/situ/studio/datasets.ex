@@ -1,14 +1,14 @@
 defmodule Situ.Studio.Datasets do
   @moduledoc """
-  The datasets that pages of a studio look at: one process for each (`Situ.Dataset.Server`), which every page and batch
-  run edits through. The file is the truth: an edit begins with what is in it now, so that one made by hand or by the
-  command line meanwhile is not lost.
+  The datasets that are open in a studio. Each has one process (`Situ.Dataset.Server`), through which all pages and
+  batch runs edit it. The file is authoritative: an edit is applied to its current content, so that changes made by
+  hand or on the command line are not lost.
   """
   alias Situ.{Dataset, Error}
   alias Situ.Dataset.{Server, Session}
   alias Situ.Studio.Catalog
 
-  @doc "The process of the dataset in `file`; the caller gets its changes, see `Situ.Dataset.Server`."
+  @doc "Returns the process of the dataset in `file` and subscribes the caller, see `Situ.Dataset.Server`."
   @spec open(Catalog.id(), Path.t()) :: {:ok, pid()} | {:error, Error.t()}
   def open(studio, file) do
     name = {:via, Registry, {Situ.Studio.Registry, {studio, :dataset, file}}}
@@ -30,11 +30,11 @@ defmodule Situ.Studio.Datasets do
     case DynamicSupervisor.start_child(Catalog.watches(studio), child) do
       {:ok, pid} -> {:ok, pid}
       {:error, {:already_started, pid}} -> {:ok, pid}
-      {:error, reason} -> {:error, Error.new(:not_opened, "the dataset: #{inspect(reason)}")}
+      {:error, reason} -> {:error, Error.new(:not_opened, "no dataset: #{inspect(reason)}")}
     end
   end
 
-  @doc "Changes a dataset as its file is now, and saves it."
+  @doc "Applies `fun` to the current content of the dataset's file and saves the result."
   @spec edit(GenServer.server(), Path.t(), (Dataset.t() -> Dataset.result())) :: Dataset.result()
   def edit(server, file, fun) do
     Server.edit(server, fn held ->
@@ -42,15 +42,15 @@ defmodule Situ.Studio.Datasets do
     end)
   end
 
-  # A dataset that cannot be saved under its own name (a .pds) stays as it was read.
+  # A dataset that cannot be saved under its name (a .pds file) keeps the content that was read when it was opened.
   defp current(%Dataset{file: nil} = held, _file), do: {:ok, held}
   defp current(_held, file), do: Dataset.load(file, autosave: true)
 
-  @doc "Reads the file again."
+  @doc "Reloads the file."
   @spec refresh(GenServer.server(), Path.t()) :: Dataset.result()
   def refresh(server, file), do: Server.edit(server, &current(&1, file))
 
-  @doc "Takes a partition into a session, in the place of one of its name."
+  @doc "Adds a partition to a session, and replaces a partition with the same name."
   @spec put_partition(GenServer.server(), Path.t(), String.t(), Situ.Dataset.Partition.t()) ::
           Dataset.result()
   def put_partition(server, file, session, partition) do

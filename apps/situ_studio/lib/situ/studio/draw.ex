@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Draw do
   @moduledoc """
-  The frame of a page's channel: a window, or the message at the cursor, drawn by the channel's visualizer.
+  Draws the frame of a page's channel, a window or the message at the cursor, with the channel's visualizer.
   """
   alias Situ.Studio.Plugins.Guard
   alias Situ.Studio.Source.Adapted
   alias Situ.Studio.{Frame, Hole, Path, Source, Visualizer}
 
-  @doc "The frame of a window `from..to` with bins of `bin` nanoseconds."
+  @doc "Returns the frame of the window `from..to` with bins of `bin` nanoseconds."
   @spec window(
           Source.t(),
           Frame.channel(),
@@ -18,7 +18,7 @@ defmodule Situ.Studio.Draw do
   def window(source, channel, %{viz: %{plugin: nil, adapter: nil}} = spec, from, to, bin),
     do: drawn(source, channel, spec, from, to, bin)
 
-  # Code of plug-ins runs in a process of its own: a failure costs its panel, and nothing else.
+  # Code of plug-ins runs in a separate process, so that a failure affects only its panel.
   def window(source, channel, %{viz: viz} = spec, from, to, bin) do
     work = fn ->
       source |> Adapted.of(viz.adapter) |> drawn(channel, spec, from, to, bin) |> whole()
@@ -30,7 +30,7 @@ defmodule Situ.Studio.Draw do
     end
   end
 
-  # A frame must be bytes: one that is none would break the answer that holds the others'.
+  # Converts a plug-in's frame to a binary here, because invalid iodata would break the reply with all frames.
   defp whole(frame), do: IO.iodata_to_binary(frame)
 
   defp blame(%{plugin: nil, adapter: adapter}, what), do: "#{inspect(adapter)}: #{what}"
@@ -43,11 +43,11 @@ defmodule Situ.Studio.Draw do
         frame -> frame
       end
     else
-      Frame.error(channel, "#{inspect(viz.id)} is not drawn over time")
+      Frame.error(channel, "#{inspect(viz.id)} cannot be drawn over time")
     end
   end
 
-  @doc "The frame of the message at the cursor; `last` is what this channel was sent before."
+  @doc "Returns the frame of the message at the cursor; `last` is the state that this channel returned last."
   @spec instant(Source.t(), Frame.channel(), Visualizer.spec(), Situ.Time.t(), term()) ::
           {Frame.t(), last :: term()}
   def instant(source, channel, %{viz: %{plugin: nil, adapter: nil}} = spec, time, last),
@@ -74,11 +74,11 @@ defmodule Situ.Studio.Draw do
         message_at_cursor(source, channel, spec, time, last)
 
       true ->
-        {Frame.error(channel, "#{inspect(viz.id)} is not drawn at the cursor"), nil}
+        {Frame.error(channel, "#{inspect(viz.id)} cannot be drawn at the cursor"), nil}
     end
   end
 
-  # The value that a visualizer over time has at the cursor.
+  # Draws the value at the cursor of a visualizer that draws over time.
   defp value_at_cursor(source, channel, %{viz: viz} = spec, time, last) do
     case viz.module.value_at(source, channel, spec, time) do
       {:ok, ^last, _frame} -> {Frame.same(channel), last}
@@ -114,7 +114,7 @@ defmodule Situ.Studio.Draw do
     end
   end
 
-  # The message of the cursor: the last at or before it, unless the page wants one that is near enough on either side.
+  # Returns the last message at or before the cursor, or the nearest message within the page's `past` and `future`.
   defp message(source, stream, time, props) do
     before = Source.call(source, :latest_at, [stream, time])
 
@@ -130,7 +130,7 @@ defmodule Situ.Studio.Draw do
   defp span(seconds, _) when is_number(seconds) and seconds >= 0, do: round(seconds * 1.0e9)
   defp span(_, usual), do: usual
 
-  # Atoms are greater than every number.
+  # `away <= span` also holds for a span of `:infinity`, because atoms sort after numbers.
   defp nearest([{{:error, _} = error, _} | _], _time), do: error
 
   defp nearest(found, time) do
@@ -149,7 +149,7 @@ defmodule Situ.Studio.Draw do
   defp draws?(%{module: module}, function, arity),
     do: Code.ensure_loaded?(module) and function_exported?(module, function, arity)
 
-  # The frame, and which parts of messages the page holds after it.
+  # Returns the frame, and the parts of messages that the page caches after it.
   defp encode(source, channel, %{path: path} = spec, message, kept) do
     context = %{source: source, spec: spec, kept: kept}
 
@@ -157,13 +157,13 @@ defmodule Situ.Studio.Draw do
          {:error, what} <- frame(context, channel, data, message) do
       {Frame.error(channel, what), kept}
     else
-      :error -> {Frame.error(channel, "this message has nothing at this path"), kept}
+      :error -> {Frame.error(channel, "this message does not have a value at this path"), kept}
       {:kept, frame, kept} -> {frame, kept}
       frame -> {frame, kept}
     end
   rescue
-    # Messages come from files and foreign programs: one that is not what its type says is shown as such, and the
-    # page goes on.
+    # Messages come from files and external programs. Data that does not match its type shows an error in its panel,
+    # and the rest of the page keeps working.
     error ->
       {Frame.error(channel, "this message cannot be drawn: #{Exception.message(error)}"), kept}
   end

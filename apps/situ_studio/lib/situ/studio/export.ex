@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Export do
   @moduledoc """
-  A part of a recording as a recording of its own, beside it: an interval, of all streams or some.
+  Exports an interval of a recording, with all or some streams, as a new recording next to it.
 
       iex> {:error, error} = Situ.Studio.Export.new("../../etc", 0, 10, :all)
       iex> error.code
@@ -22,10 +22,10 @@ defmodule Situ.Studio.Export do
           streams: :all | [String.t()]
         }
 
-  # A name on every file system, and no way out of the folder.
+  # Valid on every file system and without a path separator.
   @name ~r/\A[\p{L}\p{N}][\p{L}\p{N} ._-]{0,59}\z/u
 
-  @doc "Checks what a person typed. Times in ns, both ends included."
+  @doc "Validates user input and builds an export. Times are in ns and inclusive."
   @spec new(String.t(), Situ.Time.t(), Situ.Time.t(), :all | [String.t()]) ::
           {:ok, t()} | {:error, Error.t()}
   def new(name, from, to, streams) do
@@ -37,38 +37,38 @@ defmodule Situ.Studio.Export do
 
       to <= from ->
         {:error,
-         Error.new(:empty, "there is nothing between the two ends of the selection",
-           fix: "select with Shift and dragging over a timeline"
+         Error.new(:empty, "the selected interval is empty",
+           fix: "drag over a timeline while holding Shift to select one"
          )}
 
       streams == [] ->
-        {:error, Error.new(:empty, "no streams are shown", fix: "take all streams")}
+        {:error, Error.new(:empty, "no streams are shown", fix: "export all streams")}
 
       true ->
         {:ok, %__MODULE__{name: name, from: from, to: to, streams: streams}}
     end
   end
 
-  @doc "Whether a file of that name can be made: on every file system, and nowhere else than in its folder."
+  @doc "Checks that a name is a valid file name on every file system and does not leave its folder."
   @spec check_name(String.t()) :: :ok | {:error, Error.t()}
   def check_name(name) do
     if String.valid?(name) and name =~ @name do
       :ok
     else
       {:error,
-       Error.new(:bad_name, "#{inspect(name)} cannot be the name of a file",
+       Error.new(:bad_name, "#{inspect(name)} is not a valid file name",
          why:
-           "it has 1 to 60 letters, digits, spaces, dots, dashes, and begins with a letter or digit",
-         fix: "choose another"
+           "a name has 1 to 60 letters, digits, spaces, dots, dashes and starts with a letter or digit",
+         fix: "choose another name"
        )}
     end
   end
 
-  @doc "How long it is, in ns."
+  @doc "Returns the duration in ns."
   @spec duration(t()) :: Situ.Time.duration()
   def duration(%__MODULE__{from: from, to: to}), do: to - from
 
-  @doc "Writes it beside the recording: `{:ok, path}` of the new one. Takes as long as it takes to copy."
+  @doc "Writes the export next to the recording and returns `{:ok, path}` when all data is copied."
   @spec run(t(), Item.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def run(%__MODULE__{} = export, %Item{kind: :store, path: path}) do
     some = if export.streams == :all, do: [], else: [streams: export.streams]
@@ -81,6 +81,6 @@ defmodule Situ.Studio.Export do
   end
 
   def run(_, %Item{title: title}) do
-    {:error, Error.new(:no_store, "#{title} is no recording on disk", fix: "open a recording")}
+    {:error, Error.new(:no_store, "#{title} is not a recording on disk", fix: "open a recording")}
   end
 end

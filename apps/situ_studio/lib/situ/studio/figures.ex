@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Figures do
   @moduledoc """
-  Figures beside the names in the trees of streams, recordings and sessions: of one stream, or of several together.
+  Statistics next to the names in the trees of streams, recordings and sessions, for one or several streams.
 
       iex> alias Situ.Studio.{Figures, StreamInfo}
       iex> s = 1_000_000_000
@@ -15,7 +15,7 @@ defmodule Situ.Studio.Figures do
   """
   alias Situ.Studio.StreamInfo
 
-  # `length`: of several sessions, which overlap or lie days apart, that of all of them one after the other.
+  # Several sessions may overlap or be days apart, so their `length` is the sum of their durations.
   defstruct streams: 0,
             count: 0,
             bytes: 0,
@@ -58,12 +58,12 @@ defmodule Situ.Studio.Figures do
 
   @second 1_000_000_000
 
-  @doc "All choices with their titles."
+  @doc "Returns all choices with their titles."
   @spec choices() :: [{atom(), String.t()}]
   def choices, do: @choices
 
   @doc """
-  A choice by its name, as a form or a file says it.
+  Returns the choice with the given name from a form or a file, or the default.
 
       iex> Situ.Studio.Figures.choice("size", :rate)
       :size
@@ -78,7 +78,7 @@ defmodule Situ.Studio.Figures do
     end
   end
 
-  @doc "Of streams together; their latencies by how many messages each has."
+  @doc "Summarizes streams; the mean latency is weighted by the number of messages."
   @spec sum([StreamInfo.t()]) :: t()
   def sum(streams) do
     timed =
@@ -102,7 +102,7 @@ defmodule Situ.Studio.Figures do
     }
   end
 
-  @doc "The same of sessions that are to be counted one after the other."
+  @doc "Sets the length of a summary to the sum of the lengths of its sessions."
   @spec in_turn(t(), [t()]) :: t()
   def in_turn(%__MODULE__{} = all, parts) do
     lengths = for %{length: length} when length != nil <- parts, do: length
@@ -115,10 +115,10 @@ defmodule Situ.Studio.Figures do
     if total > 0, do: (known |> Enum.map(fn {ns, n} -> ns * n end) |> Enum.sum()) / total
   end
 
-  @doc "The figure as text; empty where there is none. Times are UTC."
+  @doc "Formats a statistic as text; empty if it is unknown. Times are UTC."
   @spec text(atom(), t()) :: String.t()
   def text(:none, _), do: ""
-  # of what cannot be opened nothing is known
+  # A recording that cannot be opened has no streams and no statistics.
   def text(_, %{streams: 0}), do: ""
   def text(:count, f), do: Integer.to_string(f.count)
   def text(:streams, %{streams: 1}), do: "1 stream"
@@ -141,12 +141,12 @@ defmodule Situ.Studio.Figures do
   def text(:date, f), do: f.from |> clock() |> String.slice(0, 10)
   def text(:time, f), do: f.from |> clock() |> String.slice(11, 8)
 
-  # The clocks of two machines differ by less than this.
+  # The assumed upper bound for the clock skew between two machines.
   @skew 100_000_000
   @day 86_400 * @second
 
   @doc """
-  Writes a mean latency as text. It is in words where the messages were not created in real time, as in a replayed
+  Formats a mean latency. Returns "not real time" if the messages were not created in real time, as in a replayed
   recording or a simulation.
 
       iex> Enum.map([2_020_000, -5_000_000, -1_470_000_000], &Situ.Studio.Figures.latency_text/1)
@@ -163,7 +163,7 @@ defmodule Situ.Studio.Figures do
   defp rate(%{rate: hz}), do: how_often(hz)
 
   @doc """
-  So many a second in the unit that people would say it in.
+  Formats a rate, given per second, in a readable unit.
 
       iex> Enum.map([3.0e9, 48_000, 25, 0.5, 1 / 3600, 2 / 86_400], &Situ.Studio.Figures.how_often/1)
       ["3.0 G/s", "48.0 k/s", "25.0/s", "30.0/min", "1.0/h", "2.0/d"]
@@ -185,7 +185,7 @@ defmodule Situ.Studio.Figures do
 
   defp speed(_, _, _), do: ""
 
-  @doc "A size as people read it."
+  @doc "Formats a size in bytes with a decimal unit."
   @spec bytes(number()) :: String.t()
   def bytes(n) when is_integer(n) and n < 1_000, do: "#{n} B"
   def bytes(n) when n < 1_000, do: "#{number(n)} B"
@@ -193,7 +193,7 @@ defmodule Situ.Studio.Figures do
   def bytes(n) when n < 1_000_000_000, do: "#{number(n / 1.0e6)} MB"
   def bytes(n), do: "#{number(n / 1.0e9)} GB"
 
-  @doc "A number with about three digits."
+  @doc "Formats a number with about three digits."
   @spec number(number()) :: String.t()
   def number(x) when x >= 100, do: Integer.to_string(round(x))
   def number(x) when x >= 10, do: :erlang.float_to_binary(x / 1, [:compact, decimals: 1])

@@ -1,10 +1,10 @@
 defmodule Situ.Studio.Film do
   @moduledoc """
-  The pictures of a stream between two times as a video file, with the sound of another stream and with what other
-  streams draw over them: masks, rectangles, points and their labels, as the page shows them.
+  Writes the images of a stream between two times as a video file, with the audio of another stream and with overlays
+  from other streams: masks, rectangles, points and their labels, as the page shows them.
 
-  Every picture is shown from its own time until the next one; the one in force at the beginning is the first. A
-  picture of another size than the first is made as large as that.
+  Each image is shown from its own time until the next one; the first is the image at the start time. An image whose
+  size differs from the first one is resized.
 
       iex> image = Situ.Image.filled(32, 16, :bgr24)
       iex> rects = [%Situ.Rect{x: 4, y: 4, width: 8, height: 8}]
@@ -24,8 +24,8 @@ defmodule Situ.Studio.Film do
   defstruct [:pictures, :from, :to, :sound, over: [], masks: [], flip: false]
 
   @typedoc """
-  `over` names the streams to be drawn over the pictures, each with the number of its colour; `masks` those of masks,
-  each with its properties, too (`"opacity"`, `"fit"`, `"labels"`).
+  `over` lists the streams that are drawn over the images, each with the number of its color. `masks` lists the
+  streams of masks, each with its color and properties (`"opacity"`, `"fit"`, `"labels"`).
   """
   @type t :: %__MODULE__{
           pictures: String.t(),
@@ -37,11 +37,11 @@ defmodule Situ.Studio.Film do
           flip: boolean()
         }
 
-  # Pictures and sound go to the encoder in turns of a second, so that neither waits long for the other.
+  # Images and audio are encoded alternately in slices of one second, so that neither waits long for the other.
   @turn 1_000_000_000
   @page 64
   @frame 40_000_000
-  # The page's colours in the dark, which have their home in its style: the first eight that stand there.
+  # The page's colors in the dark theme: the first eight in the style sheet.
   @style Path.expand("../../../assets/css/studio.css", __DIR__)
   @external_resource @style
   @palette ~r/--s\d: #(..)(..)(..);/
@@ -53,8 +53,8 @@ defmodule Situ.Studio.Film do
   @colors List.to_tuple(@palette)
 
   @doc """
-  Writes the file; `progress` is told the part that is done, 0.0 to 1.0, about once a second of film. Errors:
-  `:no_pictures`, those of `Situ.Media.Encoder`.
+  Writes the file. Calls `progress` with the completed fraction, 0.0 to 1.0, about once per second of video. Errors:
+  `:no_pictures`, and errors of `Situ.Media.Encoder`.
   """
   @spec write(t(), Source.t(), Path.t(), (float() -> term())) :: :ok | {:error, Error.t()}
   def write(%__MODULE__{} = film, source, path, progress) do
@@ -88,13 +88,13 @@ defmodule Situ.Studio.Film do
     error
   end
 
-  # The last picture is shown until the end.
+  # The last image is repeated near the end time, so that it is shown until then.
   defp hold({time, image}, %{to: to}, encoder) when to - @frame > time + @frame,
     do: Encoder.video(encoder, to - @frame, image)
 
   defp hold(_, _, _), do: :ok
 
-  # The one in force when the film begins, or the first after that.
+  # Returns the image at the start time, or else the first image after it.
   defp first(film, source) do
     with {:ok, message} <- start(film, source),
          {:ok, image} <- picture(message.data) do
@@ -116,8 +116,8 @@ defmodule Situ.Studio.Film do
 
   defp none(film) do
     {:error,
-     Error.new(:no_pictures, "#{film.pictures} has no pictures between these times",
-       fix: "select a part with pictures"
+     Error.new(:no_pictures, "#{film.pictures} has no images between these times",
+       fix: "select an interval that contains images"
      )}
   end
 
@@ -125,7 +125,7 @@ defmodule Situ.Studio.Film do
   defp picture(%Image{} = image), do: Imaging.convert(image, :bgr24)
   defp picture(_), do: :none
 
-  # The first turn begins with the picture that is in force then.
+  # The first slice starts with the image at its start time.
   defp pictures(film, source, encoder, first, a, b, nil) do
     opening =
       case Source.call(source, :latest_at, [film.pictures, a]) do
@@ -163,7 +163,7 @@ defmodule Situ.Studio.Film do
            :ok <- Encoder.video(encoder, time, image) do
         {:cont, {:ok, {time, image}}}
       else
-        # a hole, or a picture that cannot be read: the one before is shown on
+        # After a gap or an image that cannot be decoded, the previous image stays visible.
         :none -> {:cont, {:ok, last}}
         {:error, %{code: code}} when code in [:bad_jpeg, :bad_png] -> {:cont, {:ok, last}}
         error -> {:halt, error}
@@ -187,7 +187,7 @@ defmodule Situ.Studio.Film do
         do: {found, color, props}
   end
 
-  # Before the picture is mirrored: its masks are mirrored with it.
+  # Masks are drawn before the image is mirrored, so that they are mirrored with it.
   defp masked(image, found) do
     Enum.reduce(found, image, fn {found, color, props}, image ->
       Masks.over(image, found, color, @colors, props)
@@ -200,7 +200,7 @@ defmodule Situ.Studio.Film do
         do: {{:labels, Enum.map(objects, &elem(&1, 0))}, color}
   end
 
-  @doc "A picture with what lies over it: the data of each stream's message, and the number of its colour."
+  @doc "Draws overlays on an image: the data of each stream's message, with the number of its color."
   @spec over(t(), Image.t(), [{term(), non_neg_integer()}]) :: Image.t()
   def over(_film, image, []), do: image
 
@@ -209,12 +209,12 @@ defmodule Situ.Studio.Film do
 
     case Imaging.draw(image, shapes) do
       {:ok, drawn} -> drawn
-      # a file may claim any place: what cannot be drawn is left out
+      # Coordinates from a file may be out of range; such overlays are left out.
       {:error, _} -> image
     end
   end
 
-  # Objects that have masks need no frames.
+  # Objects with masks are labeled but not framed.
   defp drawn(film, image, {:labels, rects}, own),
     do: film |> drawn(image, rects, own) |> Enum.reject(&match?({:rectangle, _, _}, &1))
 
@@ -286,7 +286,7 @@ defmodule Situ.Studio.Film do
     end
   end
 
-  # A buffer's time is that of its end: of the first one only a part may belong to the film.
+  # A buffer's timestamp is its end, so part of the first buffer may be from before the start of the video.
   defp since(buffer, time, from) do
     early = max(from - AudioBuffer.start_time(buffer, time), 0)
     skip = if early == 0, do: 0, else: AudioFormat.ns_to_frames(buffer.format, early) + 1

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Finding do
   @moduledoc """
-  "Find the times where": an expression over the streams that a page shows, answered with intervals
-  (`Situ.Query`). The intervals become proposals of annotations, of which the user keeps the good ones.
+  Implements "Find the times where": evaluates an expression over the streams of a page and returns intervals
+  (`Situ.Query`). The intervals become proposed annotations, which the user accepts or rejects.
 
       iex> {:error, error} = Situ.Studio.Finding.run([{"Room", "/nowhere/room.0000"}], "Level >")
       iex> error.code
@@ -14,7 +14,7 @@ defmodule Situ.Studio.Finding do
   @timeout_ms 60_000
   @most 1_000
 
-  @doc "The recordings of an item, as partitions by name; none of what lies only in memory."
+  @doc "Returns the recordings of an item as partitions by name; empty for data that is only in memory."
   @spec parts(Item.t()) :: [{String.t(), Path.t()}]
   def parts(%Item{kind: :session, parts: parts}), do: parts
 
@@ -23,7 +23,7 @@ defmodule Situ.Studio.Finding do
 
   def parts(_), do: []
 
-  @doc "The intervals in which the expression is true: at most 1,000, `truncated?` when there are more."
+  @doc "Returns the intervals in which the expression is true, up to 1,000; `truncated?` is true if there are more."
   @spec run([{String.t(), Path.t()}], String.t()) :: {:ok, Query.found()} | {:error, Error.t()}
   def run(parts, text) do
     with {:ok, expression} <- Situ.Expression.parse(text),

@@ -1,48 +1,48 @@
 defmodule Situ.Studio.Frame do
   @moduledoc """
-  The binary answers of the data socket and of `GET /data/...`: one header, then frames. Little endian throughout; every
-  payload starts at a multiple of 8 bytes, so that a browser lays typed arrays over it without copying.
+  The binary replies of the data socket and of `GET /data/...`: one header, then frames. All values are little-endian.
+  Payloads are aligned to 8 bytes, so that a browser can create typed arrays on them without copying.
 
   Header, 40 bytes:
 
-  | bytes | what |
+  | bytes | content |
   |---|---|
   | 0 | version, 1 |
   | 1 | 0 |
-  | 2..3 | flags: 1 = the source grows (live), 2 = the source is gone, 4 = another has taken its place |
-  | 4..7 | the request this answers |
+  | 2..3 | flags: 1 = the source is live, 2 = the source is gone, 4 = the source was replaced |
+  | 4..7 | the number of the request |
   | 8..15 | first time of the source, ns since 1970 (signed) |
   | 16..23 | last time |
   | 24..27 | number of frames |
-  | 28..31 | version of the list of streams: a change means there are new ones |
-  | 32..39 | the time the instant frames are for (the cursor, after snapping) |
+  | 28..31 | version of the list of streams; it changes when streams are added |
+  | 32..39 | the time of the instant frames (the cursor, after snapping) |
 
   Frame, 32 bytes, then the payload, padded to 8:
 
-  | bytes | what |
+  | bytes | content |
   |---|---|
   | 0..1 | kind, below |
-  | 2..3 | flags: 1 = single messages, not summaries; 2 = a sample: more messages than were read; 4 = all channels of a sound together, where one was asked for |
-  | 4..7 | channel, as the page numbered it |
+  | 2..3 | flags: 1 = single messages, not summaries; 2 = a sample: there are more messages than were read; 4 = all audio channels combined although one was requested |
+  | 4..7 | channel, numbered by the page |
   | 8..11 | bytes of payload |
   | 12..15 | rows |
   | 16..23 | base time, ns (signed) |
-  | 24..31 | kind's own: samples a second for sound; of segments the time of the newest message, after the base; of lines how many more there are |
+  | 24..31 | depends on the kind: for audio the sample rate; for segments the time of the newest message, relative to the base; for lines the number of omitted lines |
 
   | kind | payload |
   |---|---|
-  | 1 series | five columns of 64-bit floats: time after the base, min, max, last, count |
-  | 2 segments | JSON `[[from, to or null, label, class, lane], ...]`, times after the base; no lane where there is one only |
-  | 3 marks | two columns: time after the base, latency in ns |
-  | 4 image | width, height, pixel format, micrometres of a depth of 1 or 0 (32 bits each), then the bytes: 1 JPEG, 2 PNG, 3 RGBA, 4 gray 8, 5 gray 16 (depth), 6 RGB, 7 BGR, 8 BGRA |
-  | 5 json | a value tree, shapes, bars or a text |
+  | 1 series | five columns of 64-bit floats: time relative to the base, min, max, last, count |
+  | 2 segments | JSON `[[from, to or null, label, class, lane], ...]`, times relative to the base; `lane` is left out if there is only one |
+  | 3 marks | two columns: time relative to the base, latency in ns |
+  | 4 image | width, height, pixel format, micrometers per depth unit or 0 (32 bits each), then the bytes: 1 JPEG, 2 PNG, 3 RGBA, 4 gray 8, 5 gray 16 (depth), 6 RGB, 7 BGR, 8 BGRA |
+  | 5 json | a value tree, shapes, bars or a string |
   | 6 none | there is no message at this time |
-  | 7 same | the message sent last on this channel still holds |
-  | 8 error | what is wrong, in words |
-  | 9 pcm | rows frames of 32-bit float samples, of as many channels as there is room for |
-  | 10 lines | rows of them; of each: bytes of its name, points (32 bits each), the name padded to 8, and columns as of a series; a gap is NaN |
-  | 11 scene | things in space, see `Situ.Studio.Scene.pack/2` |
-  | 12 sounds | rows pieces of sound, all as long: their times after the base (64-bit floats), then 32-bit float samples |
+  | 7 same | the last message on this channel is still current |
+  | 8 error | an error message |
+  | 9 pcm | interleaved 32-bit float samples; the channel count follows from the payload size and the number of rows (audio frames) |
+  | 10 lines | for each row: the size of its name and the number of points (32 bits each), the name padded to 8, and columns as in a series; a gap is NaN |
+  | 11 scene | 3D objects, see `Situ.Studio.Scene.pack/2` |
+  | 12 sounds | audio chunks of equal length, one per row: their times relative to the base (64-bit floats), then 32-bit float samples |
 
       iex> frame = Situ.Studio.Frame.none(7)
       iex> bytes = IO.iodata_to_binary(Situ.Studio.Frame.reply([frame], %{request: 1, from: 0, to: 9, time: 5}))
@@ -65,8 +65,8 @@ defmodule Situ.Studio.Frame do
            lane :: String.t()}
 
   @doc """
-  Header and frames. `meta`: `:request`, `:from`, `:to`, `:time` and, when they differ from nothing, `:live`,
-  `:gone`, `:version`.
+  Encodes a reply: the header and its frames. `meta` contains `:request`, `:from`, `:to`, `:time` and optionally
+  `:live`, `:gone`, `:replaced` and `:version`.
   """
   @spec reply([t()], map()) :: iodata()
   def reply(frames, %{request: request, from: from, to: to, time: time} = meta) do
@@ -80,7 +80,7 @@ defmodule Situ.Studio.Frame do
     ]
   end
 
-  @doc "A signal: points as of `Situ.Codec`, and gaps, in time order. `raw?` says that each stands for one message."
+  @doc "Encodes a signal: `Situ.Codec` points and gaps in time order. With `raw?`, each point is one message."
   @spec series(channel(), [Bins.point() | Bins.gap()], boolean(),
           sampled: boolean(),
           together: boolean()
@@ -90,7 +90,7 @@ defmodule Situ.Studio.Frame do
     frame(:series, channel, columns(points, base), length(points), base, flags(raw?, opts))
   end
 
-  @doc "Several signals of one stream, each with its name; of `more` there is nothing."
+  @doc "Encodes several named signals of one stream; `more` is the number of omitted signals."
   @spec lines(channel(), [{String.t(), [Bins.point() | Bins.gap()]}], boolean(),
           sampled: boolean(),
           more: non_neg_integer()
@@ -121,7 +121,7 @@ defmodule Situ.Studio.Frame do
   defp float(nil), do: @nan
   defp float(x), do: <<x::little-float-64>>
 
-  @doc "Lanes: `{from, to | nil, label, class, lane}`, lane by lane in time order, made of messages up to `newest`."
+  @doc "Encodes lanes, lane by lane in time order, as segments `{from, to | nil, label, class, lane}` up to `newest`."
   @spec segments(channel(), [segment()], Situ.Time.t() | nil, sampled: boolean()) :: t()
   def segments(channel, rows, newest, opts \\ []) do
     base = first_time(rows)
@@ -135,7 +135,7 @@ defmodule Situ.Studio.Frame do
     frame(:segments, channel, encode(json), length(rows), base, flags(false, opts), own)
   end
 
-  @doc "Message marks: `{originating time, latency}`."
+  @doc "Encodes message marks: `{originating time, latency}`."
   @spec marks(channel(), [{Situ.Time.t(), Situ.Time.duration()}], boolean()) :: t()
   def marks(channel, rows, raw?) do
     base = first_time(rows)
@@ -148,7 +148,7 @@ defmodule Situ.Studio.Frame do
     frame(:marks, channel, payload, length(rows), base, bit(raw?, 1))
   end
 
-  @doc "A picture, see `Situ.Studio.Draw.Picture`."
+  @doc "Encodes an image, see `Situ.Studio.Draw.Picture`."
   @spec image(channel(), Situ.Time.t(), Situ.Studio.Draw.Picture.t()) :: t()
   def image(channel, time, {pixels, width, height, data, unit}) do
     code = Keyword.fetch!(@pixels, pixels)
@@ -156,25 +156,25 @@ defmodule Situ.Studio.Frame do
     frame(:image, channel, [head, data], 1, time)
   end
 
-  @doc "Things in space, and what was wrong with others of the message."
+  @doc "Encodes 3D objects, and the problems of objects that could not be shown."
   @spec scene(channel(), Situ.Time.t(), [Situ.Studio.Scene.item()], [String.t()]) :: t()
   def scene(channel, time, items, problems),
     do: frame(:scene, channel, Situ.Studio.Scene.pack(items, problems), length(items), time)
 
-  @doc "The number of a pixel format, as the page knows it."
+  @doc "Returns the number of a pixel format in the page's protocol."
   @spec pixels(atom()) :: 1..8
   def pixels(format), do: Keyword.fetch!(@pixels, format)
 
-  @doc "Anything JSON can hold."
+  @doc "Encodes any term that JSON can represent."
   @spec json(channel(), Situ.Time.t(), term()) :: t()
   def json(channel, time, term), do: frame(:json, channel, encode(term), 1, time)
 
-  @doc "Sound: 32-bit float samples of so many channels, frame by frame."
+  @doc "Encodes audio: interleaved 32-bit float samples."
   @spec pcm(channel(), Situ.Time.t(), pos_integer(), binary(), pos_integer()) :: t()
   def pcm(channel, time, rate, samples, channels \\ 1),
     do: frame(:pcm, channel, samples, div(byte_size(samples), 4 * channels), time, 0, rate)
 
-  @doc "Pieces of sound of one channel, all of as many samples, at a rate: `{time, 32-bit float samples}`."
+  @doc "Encodes audio chunks of one channel and equal length: `{time, 32-bit float samples}`."
   @spec sounds(channel(), [{Situ.Time.t(), binary()}], pos_integer()) :: t()
   def sounds(channel, pieces, rate) do
     base = first_time(pieces)
@@ -187,15 +187,15 @@ defmodule Situ.Studio.Frame do
     frame(:sounds, channel, payload, length(pieces), base, 0, rate)
   end
 
-  @doc "There is no message."
+  @doc "Encodes the absence of a message at this time."
   @spec none(channel()) :: t()
   def none(channel), do: frame(:none, channel, "", 0, 0)
 
-  @doc "The message sent last still holds."
+  @doc "Encodes that the last message on this channel is still current."
   @spec same(channel()) :: t()
   def same(channel), do: frame(:same, channel, "", 0, 0)
 
-  @doc "The channel's error, in words."
+  @doc "Encodes an error message for the channel."
   @spec error(channel(), String.t()) :: t()
   def error(channel, text), do: frame(:error, channel, text, 0, 0)
 

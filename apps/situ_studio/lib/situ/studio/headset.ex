@@ -3,41 +3,41 @@ defmodule Situ.Studio.Headset do
     page: [
       type: :string,
       default: "headset",
-      doc: "The page's name: its address is `/headset?name=NAME` of the studio."
+      doc: "The page's name; its address in the studio is `/headset?name=NAME`."
     ],
     buffer: [
       type: :pos_integer,
       default: 200,
       doc:
-        "Hands, rays and planes of so many moments may wait for a slow pipeline; then the oldest are dropped."
+        "The number of moments whose hands, rays and planes are buffered for a slow pipeline; the oldest are dropped."
     ]
   ]
 
   @moduledoc """
-  A headset as a source: a page of the studio, opened in the headset's own browser (WebXR).
+  Reads a headset through a page of the studio, opened in the headset's own browser (WebXR).
 
       headset = Situ.Studio.Headset.open(p, page: "headset")
       headset.head |> Situ.map(&Situ.Ray3.from_pose/1) |> Situ.Studio.Headset.Display.show(as: "ahead")
 
-  The user opens `/headset?name=headset` in the studio and presses Enter. Browsers give headsets only to pages over TLS
-  (`Situ.Studio`, `tls: :own`), or of the machine itself.
+  The user opens `/headset?name=headset` in the studio and presses Enter. Browsers expose WebXR only to pages served
+  over TLS (`Situ.Studio`, `tls: :own`) or from localhost.
 
-  | output | gives |
+  | output | value |
   |---|---|
-  | `:head` | where the head is and looks, `Situ.Pose` |
-  | `:left`, `:right` | a hand that is seen: `Situ.Skeleton` of 26 joints, its `id` is `:left` or `:right` |
-  | `:gaze` | where the eyes look, `Situ.Ray3`, of headsets that tell it |
-  | `:select` | `%{left: boolean, right: boolean}`, which hand pinches (or which trigger is pulled), when it changes |
-  | `:planes` | floors, walls and tables, `Situ.Studio.Headset.Packet.plane/0`, when they change |
-  | `:clock` | how far the browser's clock is ahead, ms, each time it is measured |
+  | `:head` | the head's pose, `Situ.Pose` |
+  | `:left`, `:right` | a tracked hand: `Situ.Skeleton` of 26 joints with the `id` `:left` or `:right` |
+  | `:gaze` | the gaze direction, `Situ.Ray3`, if the headset reports it |
+  | `:select` | `%{left: boolean, right: boolean}`, which hand pinches (or which trigger is pulled), on every change |
+  | `:planes` | floors, walls and tables, `Situ.Studio.Headset.Packet.plane/0`, on every change |
+  | `:clock` | the offset of the browser's clock in ms, after every measurement |
 
-  Axes are x forward, y left, z up, in metres; the origin is on the floor, where the session began. A head's pose has
-  its x axis along the view. Joints are those of WebXR, and `:palm` between the ends of the middle finger's metacarpal;
-  a joint's x axis points along its bone, towards the tip.
+  Axes are x forward, y left, z up, in meters; the origin is on the floor, where the session started. The x axis of
+  the head's pose is the view direction. Joints are the joints of WebXR and `:palm`, in the middle of the middle
+  finger's metacarpal. A joint's x axis points along its bone, toward the tip.
 
-  Times are the browser's, corrected by the difference of the clocks, which is measured by short round trips. A
-  pipeline that has not taken the last moments holds the page back: it sends the next head's pose, and all that belongs
-  to it, when there is room, and drops the moments between.
+  Times are from the browser, corrected by the clock offset, which is measured with short round trips. A pipeline that
+  has not consumed the last moments slows the page down: the page sends the next head pose, and everything that
+  belongs to it, when there is capacity, and drops the moments in between.
 
   ## Options
 
@@ -59,7 +59,7 @@ defmodule Situ.Studio.Headset do
   alias Situ.Studio.Sensor.Inbox
 
   @behaviour Situ.Studio.Sensor.Packet
-  # Moments that may be under way.
+  # The maximum number of moments in flight.
   @ahead 4
 
   @doc "Adds the headset to a pipeline; returns its streams."

@@ -1,8 +1,8 @@
 defmodule Situ.Studio.History do
   @moduledoc """
-  The recent past of some streams in memory, bounded by age and bytes: what a page sees of a running pipeline.
+  Keeps the recent messages of streams in memory, bounded by age and bytes, for pages that show a running pipeline.
 
-  A table that one process writes (`put/4`) and any process reads, without asking the writer.
+  One process writes the table (`put/4`); any process can read it without calling the writer.
 
       iex> history = Situ.Studio.History.new(seconds: 60)
       iex> Situ.Studio.History.put(history, "level", %Situ.Message{data: 1.5, originating_time: 10}, 8)
@@ -23,7 +23,9 @@ defmodule Situ.Studio.History do
         }
 
   @doc """
-  An empty history. Options: `:seconds` kept (120), `:megabytes` kept per stream (64), `:live`, whether more comes.
+  Creates an empty history. Options: `:seconds` to keep (120), `:megabytes` to keep per stream (64), and `:live`,
+  whether more messages will follow.
+  more messages will follow.
   """
   @spec new(keyword()) :: t()
   def new(opts \\ []) do
@@ -36,14 +38,14 @@ defmodule Situ.Studio.History do
     }
   end
 
-  @doc "Makes a stream known before its first message; `type` as in `Situ.Type`."
+  @doc "Adds a stream before its first message; `type` as in `Situ.Type`."
   @spec open(t(), String.t(), Situ.Type.t()) :: :ok
   def open(%__MODULE__{streams: streams}, name, type) do
     :ets.insert_new(streams, {name, type, 0, 0, nil, nil, 0, 0})
     :ok
   end
 
-  @doc "Appends a message; `bytes` is what it weighs. Entries too old or too many are forgotten."
+  @doc "Appends a message of size `bytes`, and drops messages that exceed the limits."
   @spec put(t(), String.t(), Situ.Message.t(), non_neg_integer()) :: :ok
   def put(%__MODULE__{} = history, name, %Situ.Message{} = message, bytes) do
     open(history, name, :any)
@@ -54,7 +56,7 @@ defmodule Situ.Studio.History do
     :ok
   end
 
-  # A pipeline that goes on from a checkpoint says some of it once more: that counts once, and newer times stay newer.
+  # A pipeline that resumes from a checkpoint repeats messages; they are counted once and do not lower the last time.
   defp said?([{_, %{data: %Situ.Studio.Hole{}}, _}]), do: false
   defp said?(rows), do: rows != []
 
@@ -65,7 +67,7 @@ defmodule Situ.Studio.History do
     :ets.insert(history.streams, forget(history, row))
   end
 
-  @doc "The time of the newest message of a stream; `nil` before the first."
+  @doc "Returns the time of the newest message of a stream, or `nil` before the first."
   @spec last(t(), String.t()) :: Situ.Time.t() | nil
   def last(%__MODULE__{streams: streams}, name) do
     case :ets.lookup(streams, name) do
@@ -75,8 +77,8 @@ defmodule Situ.Studio.History do
   end
 
   @doc """
-  Nobody has looked at the stream behind its message at `last`: what it says is not known until the next message. A hole
-  takes no part in counts; `Situ.Studio.Hole` stands in the place of its data.
+  Marks the start of a gap after the message at `last`: the stream was not captured until its next message. The gap is
+  not counted; its data is a `Situ.Studio.Hole`.
   """
   @spec interrupt(t(), String.t(), Situ.Time.t() | nil) :: :ok
   def interrupt(%__MODULE__{}, _name, nil), do: :ok
@@ -110,7 +112,7 @@ defmodule Situ.Studio.History do
     end
   end
 
-  @doc "Roughly what a term weighs, cheaply: binaries by their size, other terms by their words."
+  @doc "Estimates the size of a term in bytes cheaply: the byte size of binaries, the size in words of other terms."
   @spec weigh(term()) :: non_neg_integer()
   def weigh(%{data: data}) when is_binary(data), do: byte_size(data)
   def weigh(data) when is_binary(data), do: byte_size(data)

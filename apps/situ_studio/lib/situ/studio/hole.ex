@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Hole do
   @moduledoc """
-  Stands in a message for what nobody saw: a live stream that no page was looking at. Nothing is drawn of it.
+  The data of a message that marks a gap: the live stream was not captured from then on. Nothing is drawn for it.
   """
   defstruct []
 

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Layout do
   @moduledoc """
-  The layout of a page: rows from top to bottom, each one panel on the time axis or a line of cells at the cursor.
-  Pure data with a JSON form (`Situ.Studio.Layout.Text`), so that layouts are kept in files and written by hand.
+  The layout of a page: rows from top to bottom, each with one panel on the time axis or several cells at the cursor.
+  A layout is pure data with a JSON form (`Situ.Studio.Layout.Text`), so it can be saved to a file or written by hand.
 
       iex> layout = Situ.Studio.Layout.new("mine")
       iex> {:ok, layout, id} = Situ.Studio.Layout.add(layout, "A.level", "line", :plot, "")
@@ -12,7 +12,7 @@ defmodule Situ.Studio.Layout do
   alias Situ.Error
 
   defmodule Vis do
-    @moduledoc "One stream drawn in one way; `path` picks a part of its messages."
+    @moduledoc "A stream with a visualizer; `path` selects a part of its messages."
     @enforce_keys [:viz, :stream]
     defstruct [:viz, :stream, path: "", props: %{}]
 
@@ -26,9 +26,9 @@ defmodule Situ.Studio.Layout do
 
   defmodule Panel do
     @moduledoc """
-    A panel: `:plot` and `:lanes` fill a row, the others are cells of one. With the axis `:own` each line of a plot has
-    its own, from its least to its greatest value in the view. `threshold` covers what lies below or above a
-    value, so that the rest stands out.
+    A panel: `:plot` and `:lanes` fill a row, other panels are cells of a row. With `axis: :own`, each line of a plot
+    is scaled to its own minimum and maximum within the view. `threshold` covers the values below or above it, so that
+    the others stand out.
     """
     @enforce_keys [:id, :panel]
     defstruct [:id, :panel, row: nil, height: nil, vis: [], axis: nil, threshold: nil]
@@ -51,9 +51,9 @@ defmodule Situ.Studio.Layout do
   defstruct [:name, rows: [], next: 1, beside: false, compared: nil]
 
   @typedoc """
-  `rows` holds panels; neighbours with the same `row` stand side by side. With `beside` the cells have a column of their
-  own, to the left of the timelines. `compared` names the recording that was compared with, and the shift of its times
-  in ns: `Situ.Studio.Comparison` restores it.
+  `rows` contains panels; neighbors with the same `row` are shown side by side. With `beside`, the cells have a column
+  to the left of the timelines. `compared` contains the id of the compared recording and the shift of its times in ns,
+  from which `Situ.Studio.Comparison` restores the comparison.
   """
   @type t :: %__MODULE__{
           name: String.t(),
@@ -67,7 +67,7 @@ defmodule Situ.Studio.Layout do
   @panels [:plot, :lanes, :image, :space, :map, :value, :bars, :text, :log, :xy, :own]
   @max_panels 64
   @max_vis 32
-  # The least height, and the part of what is left over that a row takes.
+  # The minimum height of a row, and its share of the remaining height.
   @heights %{
     plot: 84,
     lanes: 34,
@@ -84,29 +84,29 @@ defmodule Situ.Studio.Layout do
   @weights %{plot: 4, lanes: 1, image: 9, space: 9, map: 8, value: 6, bars: 6, text: 3}
            |> Map.merge(%{log: 6, xy: 9, own: 8})
   @lane 26
-  # No lane is higher: a panel of a few leaves the rest to others.
+  # The maximum height of a lane, so that a panel with few lanes leaves the remaining height to other panels.
   @lane_most 36
-  # More share the height of these.
+  # Panels with more lanes get the height of this many.
   @max_lanes 12
 
-  @doc "The kinds of panels."
+  @doc "Returns the kinds of panels."
   @spec panels() :: [atom()]
   def panels, do: @panels
 
-  @doc "How many panels a layout holds at most, and streams a panel."
+  @doc "Returns the maximum number of panels in a layout and of streams in a panel."
   @spec limits() :: {pos_integer(), pos_integer()}
   def limits, do: {@max_panels, @max_vis}
 
-  @doc "An empty layout."
+  @doc "Creates an empty layout."
   @spec new(String.t()) :: t()
   def new(name), do: %__MODULE__{name: name}
 
-  @doc "Whether panels of this kind lie on the time axis."
+  @doc "Returns whether panels of this kind have a time axis."
   @spec timeline?(atom()) :: boolean()
   def timeline?(panel), do: panel in @timeline
 
   @doc """
-  Adds a stream: to the panel `into` when it is of the right kind, else in a new one. Shapes go over the first picture.
+  Adds a stream to the panel `into` if its kind fits, else to a new panel. Shapes are added to the first image panel.
   """
   @spec add(t(), String.t(), String.t(), atom(), String.t(), keyword()) ::
           {:ok, t(), panel_id :: String.t()} | {:error, Error.t()}
@@ -123,10 +123,10 @@ defmodule Situ.Studio.Layout do
     end
   end
 
-  # Visualizers that draw over pictures, without being pictures.
+  # Visualizers of image panels other than images and depth images are drawn as overlays.
   defp over?(viz, panel), do: panel == :image and viz not in ["image", "depth"]
 
-  # A value or a chart shows one stream; lines, lanes and pictures show several.
+  # Values and charts show one stream per panel; lines, lanes and images show several.
   defp joins?(panel, panel), do: panel in [:plot, :lanes, :image, :space, :map, :xy]
   defp joins?(_, _), do: false
 
@@ -137,7 +137,7 @@ defmodule Situ.Studio.Layout do
     {:ok, %{layout | rows: Rows.insert(layout.rows, new), next: layout.next + 1}, id}
   end
 
-  # New cells join the last line of cells that has room.
+  # A new cell joins the last line of cells that has room.
   defp cell_row(layout) do
     layout.rows
     |> Enum.reject(&is_nil(&1.row))
@@ -147,21 +147,21 @@ defmodule Situ.Studio.Layout do
     |> List.last()
   end
 
-  @doc "Changes one panel."
+  @doc "Applies `fun` to one panel."
   @spec update(t(), String.t(), (Panel.t() -> Panel.t())) :: t()
   def update(%__MODULE__{rows: rows} = layout, id, fun),
     do: %{layout | rows: Enum.map(rows, fn p -> if p.id == id, do: fun.(p), else: p end)}
 
-  @doc "The panel `id`, or `nil`."
+  @doc "Returns the panel `id`, or `nil`."
   @spec panel(t(), String.t() | nil) :: Panel.t() | nil
   def panel(%__MODULE__{rows: rows}, id), do: Enum.find(rows, &(&1.id == id))
 
-  @doc "Takes a panel away."
+  @doc "Removes a panel."
   @spec remove(t(), String.t()) :: t()
   def remove(%__MODULE__{rows: rows} = layout, id),
     do: %{layout | rows: Enum.reject(rows, &(&1.id == id))}
 
-  @doc "Takes one stream out of a panel, and the panel with its last one."
+  @doc "Removes one stream from a panel, and the panel if it was the last stream."
   @spec remove_vis(t(), String.t(), non_neg_integer()) :: t()
   def remove_vis(layout, id, index) do
     case panel(layout, id) do
@@ -170,7 +170,7 @@ defmodule Situ.Studio.Layout do
     end
   end
 
-  @doc "Sets the height of a row: of the panel, or of every cell in the line."
+  @doc "Sets the height of a row, that is, of a panel or of every cell in a line."
   @spec resize(t(), String.t(), integer()) :: t()
   def resize(%__MODULE__{rows: rows} = layout, row_id, height) do
     height = height |> max(28) |> min(2_000)
@@ -186,7 +186,7 @@ defmodule Situ.Studio.Layout do
     do: %{layout | rows: Rows.move(layout.rows, row_id, by)}
 
   @doc """
-  Moves one panel above or below a row, or, where both are cells, to the left or right of another cell. An unknown id
+  Moves a panel above or below a row or, if both are cells, to the left or right of another cell. An unknown id
   changes nothing; a full row is an error.
 
       iex> layout = Situ.Studio.Layout.new("")
@@ -201,22 +201,22 @@ defmodule Situ.Studio.Layout do
     with {:ok, rows} <- Rows.place(layout.rows, id, where), do: {:ok, %{layout | rows: rows}}
   end
 
-  @doc "Moves one panel a step: timelines up and down, cells in every direction, out of their row and into the next."
+  @doc "Moves a panel one step: timelines move up and down; cells also move left and right, out of and into rows."
   @spec shift(t(), String.t(), :up | :down | :left | :right) :: {:ok, t()} | {:error, Error.t()}
   def shift(%__MODULE__{} = layout, id, way) do
     with {:ok, rows} <- Rows.shift(layout.rows, id, way), do: {:ok, %{layout | rows: rows}}
   end
 
-  @doc "The rows as shown: lists of panels side by side."
+  @doc "Returns the rows as displayed: lists of panels that are side by side."
   @spec lines(t()) :: [[Panel.t(), ...]]
   def lines(%__MODULE__{rows: rows}), do: Rows.lines(rows)
 
-  @doc "Cells beside the timelines, or above them again."
+  @doc "Moves the cells to a column next to the timelines, or back above them."
   @spec beside(t()) :: t()
   def beside(%__MODULE__{} = layout), do: %{layout | beside: not layout.beside}
 
   @doc """
-  How high a line is: as high as somebody made it, or at least so many pixels and a part of what the window has left.
+  Returns the CSS of a line's height: the height that the user set, or a minimum height and a share of the rest.
 
       iex> {:ok, layout, _} = Situ.Studio.Layout.add(Situ.Studio.Layout.new(""), "A", "line", :plot, "")
       iex> [line] = Situ.Studio.Layout.lines(layout)
@@ -242,8 +242,8 @@ defmodule Situ.Studio.Layout do
   defp most(_, _), do: ""
 
   @doc """
-  The least height of a line in pixels. `lanes` tells how many lanes a stream has, by its name, where there is more
-  than one.
+  Returns the minimum height of a line in pixels. `lanes` contains the number of lanes by stream, for streams with
+  more than one.
 
       iex> {:ok, layout, _} = Situ.Studio.Layout.add(Situ.Studio.Layout.new(""), "A", "states", :lanes, "")
       iex> [line] = Situ.Studio.Layout.lines(layout)
@@ -265,11 +265,11 @@ defmodule Situ.Studio.Layout do
 
   defp rows(vis, lanes), do: vis |> Enum.map(&lanes_of(&1, lanes)) |> Enum.sum()
 
-  # Marks of messages are one lane, whatever is in them.
+  # Message marks always use one lane.
   defp lanes_of(%Vis{viz: "messages"}, _), do: 1
   defp lanes_of(%Vis{stream: stream, path: path}, lanes), do: Map.get(lanes, stream <> path, 1)
 
   defp full(what, n) do
-    {:error, Error.new(:full, "a #{what} holds at most #{n}", fix: "take something out first")}
+    {:error, Error.new(:full, "a #{what} holds at most #{n}", fix: "remove something first")}
   end
 end

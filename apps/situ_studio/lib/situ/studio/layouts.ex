@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Layouts do
   @moduledoc """
-  Named layouts in a folder, one JSON file each. The name is in the file; the file is called after its letters and
-  digits.
+  Named layouts in a folder, one JSON file each. The file contains the name; the file name is derived from the letters
+  and digits of the name.
   """
   alias Situ.Error
   alias Situ.Studio.Layout
@@ -9,27 +9,27 @@ defmodule Situ.Studio.Layouts do
   @max_name 60
   @max_bytes 1_000_000
 
-  @doc "The folder used when none is named: `$XDG_CONFIG_HOME/situ/layouts`."
+  @doc "Returns the default folder, `$XDG_CONFIG_HOME/situ/layouts`."
   @spec default_dir() :: Path.t()
   def default_dir do
     config = System.get_env("XDG_CONFIG_HOME") || Path.join(System.user_home() || ".", ".config")
     Path.join([config, "situ", "layouts"])
   end
 
-  @doc "The names of the layouts in `dir`; files that are no layouts are passed over."
+  @doc "Returns the names of the layouts in `dir`; files that do not contain a layout are skipped."
   @spec names(Path.t()) :: [String.t()]
   def names(dir) do
     dir |> all() |> Enum.map(& &1.name) |> Enum.uniq() |> Enum.sort()
   end
 
-  @doc "The layout called `name`. Errors: `:no_layout`, `:bad_layout` of a file that says it is that, but is none."
+  @doc "Loads the layout `name`. Errors: `:no_layout`, and `:bad_layout` if the file with that name is invalid."
   @spec load(Path.t(), String.t()) :: {:ok, Layout.t()} | {:error, Error.t()}
   def load(dir, name) do
     with nil <- Enum.find(all(dir), &(&1.name == name)),
          nil <- Enum.find_value(broken(dir), fn {_, said, e} -> if said == name, do: e end) do
       {:error,
-       Error.new(:no_layout, "there is no layout called #{inspect(name)}",
-         fix: "choose one from the list of layouts"
+       Error.new(:no_layout, "there is no layout named #{inspect(name)}",
+         fix: "choose a layout from the list"
        )}
     else
       %Layout{} = layout -> {:ok, layout}
@@ -37,7 +37,7 @@ defmodule Situ.Studio.Layouts do
     end
   end
 
-  @doc "The files in `dir` that should be layouts and are none, with the reason: of another version, edited by hand ..."
+  @doc "Returns the files in `dir` that are not valid layouts, with the error, such as an unknown version."
   @spec problems(Path.t()) :: [{Path.t(), Error.t()}]
   def problems(dir), do: for({path, _, error} <- broken(dir), do: {path, error})
 
@@ -53,7 +53,7 @@ defmodule Situ.Studio.Layouts do
     end
   end
 
-  @doc "Writes a layout whole or not at all, in place of one of the same name."
+  @doc "Saves a layout atomically, and replaces a layout with the same name."
   @spec save(Path.t(), Layout.t()) :: :ok | {:error, Error.t()}
   def save(dir, %Layout{name: name} = layout) do
     with :ok <- check_name(name) do
@@ -76,7 +76,7 @@ defmodule Situ.Studio.Layouts do
     end
   end
 
-  @doc "Deletes the layout called `name`."
+  @doc "Deletes the layout `name`."
   @spec delete(Path.t(), String.t()) :: :ok
   def delete(dir, name) do
     for {path, layout} <- files(dir), layout.name == name, do: File.rm(path)
@@ -87,11 +87,11 @@ defmodule Situ.Studio.Layouts do
     if String.valid?(name) and String.trim(name) != "" and String.length(name) <= @max_name do
       :ok
     else
-      {:error, Error.new(:bad_name, "a layout's name has 1 to #{@max_name} letters")}
+      {:error, Error.new(:bad_name, "the name of a layout has 1 to #{@max_name} characters")}
     end
   end
 
-  # Different names give different files, also where they differ in characters a file name cannot have.
+  # A hash keeps file names distinct when layout names differ only in characters that are not valid in file names.
   defp file(name) do
     plain = name |> String.downcase() |> String.replace(~r/[^a-z0-9]+/, "-") |> String.trim("-")
     hash = name |> :erlang.phash2() |> Integer.to_string(36) |> String.downcase()

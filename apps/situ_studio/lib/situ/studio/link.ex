@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Link do
   @moduledoc """
-  A layout as a piece of an address, so that a link shows what its sender saw, saved or not.
+  Encodes a layout as part of a URL, so that a link shows the sender's layout even if it was not saved.
 
       iex> {:ok, layout, _} = Situ.Studio.Layout.add(Situ.Studio.Layout.new("mine"), "A.level", "line", :plot, "")
       iex> code = Situ.Studio.Link.encode(layout)
@@ -16,13 +16,13 @@ defmodule Situ.Studio.Link do
   @max_code 8_000
   @max_json 200_000
 
-  @doc "The layout in letters an address can carry."
+  @doc "Encodes a layout as a URL-safe string."
   @spec encode(Layout.t()) :: String.t()
   def encode(%Layout{} = layout) do
     layout |> Layout.Text.write() |> :zlib.zip() |> Base.url_encode64(padding: false)
   end
 
-  @doc "The layout of a code; a damaged or overlong one is an error."
+  @doc "Decodes a layout; returns an error if the code is damaged or too long."
   @spec decode(String.t()) :: {:ok, Layout.t()} | {:error, Error.t()}
   def decode(code) when is_binary(code) and byte_size(code) <= @max_code do
     with {:ok, zipped} <- Base.url_decode64(code, padding: false),
@@ -35,7 +35,7 @@ defmodule Situ.Studio.Link do
 
   def decode(_), do: bad()
 
-  # Inflates step by step: a small code must not become a large text.
+  # Inflating in steps limits the size of the result, which a small code could make very large.
   defp inflate(zipped) do
     z = :zlib.open()
 

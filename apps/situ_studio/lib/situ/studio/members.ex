@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Members do
   @moduledoc """
-  The members of a stream's values as expressions, so that each can be a derived stream: fields of structs, keys of
-  maps, places of tuples and short lists. Pure.
+  Lists the members of a stream's values as expressions, so that each can become a derived stream: fields of structs,
+  keys of maps, and indexes of tuples and short lists. Pure.
 
       iex> Situ.Studio.Members.expressions("Robot.Pose", [%{:x => 1, "left hand" => 2}, {1, 2}])
       ["`Robot.Pose`.x", "`Robot.Pose`['left hand']", "`Robot.Pose`[0]", "`Robot.Pose`[1]"]
@@ -11,10 +11,10 @@ defmodule Situ.Studio.Members do
       []
   """
 
-  # Longer lists are rows of numbers, which bars draw.
+  # Longer lists are treated as numeric data, which bar charts show.
   @longest 16
 
-  @doc "An expression for each member that some of the values have, in the order of their names."
+  @doc "Returns an expression for each member that occurs in any of the values, sorted by name."
   @spec expressions(String.t(), [term()]) :: [String.t()]
   def expressions(stream, values) do
     base = base(stream)

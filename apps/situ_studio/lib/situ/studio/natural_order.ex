@@ -1,16 +1,16 @@
 defmodule Situ.Studio.NaturalOrder do
   @moduledoc """
-  Names in the order people expect: numbers in them count by their size.
+  Sorts names in natural order, in which numbers within a name are compared by value.
 
       iex> Enum.sort_by(["Sensor10", "Sensor9", "B", "Sensor9.x"], &Situ.Studio.NaturalOrder.key/1)
       ["B", "Sensor9", "Sensor9.x", "Sensor10"]
   """
-  # Longer runs of digits are no numbers people count by.
+  # Longer runs of digits are unlikely to be numbers, so they are compared as text.
   @digits 15
 
   @type key :: [{0, non_neg_integer()} | {1, String.t()}]
 
-  @doc "The sort key of a name."
+  @doc "Returns the sort key of a name."
   @spec key(String.t()) :: key()
   def key(name) do
     for part <- Regex.split(~r/[0-9]+/, name, include_captures: true, trim: true), do: part(part)

@@ -1,10 +1,10 @@
 defmodule Situ.Studio.Path do
   @moduledoc """
-  Where a value lies inside of a message: `.rect.x`, `[0].score`, `["left"]`.
+  Paths to a value within a message: `.rect.x`, `[0].score`, `["left"]`.
 
-  A name after a dot is a field of a struct or a key of a map (atom or string); a number in brackets is a place in a
-  list
-  or tuple; a quoted name in brackets is a string key with characters a dot cannot carry. Nothing is made into an atom.
+  A name after a dot is a field of a struct or a key of a map (atom or string). A number in brackets is an index into
+  a list or tuple. A quoted name in brackets is a string key with characters that a dotted name cannot contain.
+  Parsing never creates atoms.
 
       iex> {:ok, path} = Situ.Studio.Path.parse(".faces[1].score")
       iex> Situ.Studio.Path.fetch(%{faces: [%{score: 0.1}, %{score: 0.9}]}, path)
@@ -22,7 +22,7 @@ defmodule Situ.Studio.Path do
 
   @max_bytes 512
 
-  @doc "The steps of a written path; `\"\"` is the message itself."
+  @doc "Parses a path into its steps; `\"\"` is the message itself."
   @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
   def parse(text) when is_binary(text) and byte_size(text) <= @max_bytes do
     case steps(text, []) do
@@ -31,13 +31,13 @@ defmodule Situ.Studio.Path do
 
       :error ->
         {:error,
-         Error.new(:bad_path, "not a path: #{inspect(text)}",
-           fix: "write it like .rect.x, [0].score or [\"left\"]"
+         Error.new(:bad_path, "invalid path: #{inspect(text)}",
+           fix: "use the form .rect.x, [0].score or [\"left\"]"
          )}
     end
   end
 
-  def parse(_), do: {:error, Error.new(:bad_path, "a path is at most #{@max_bytes} bytes long")}
+  def parse(_), do: {:error, Error.new(:bad_path, "a path has at most #{@max_bytes} bytes")}
 
   defp steps("", path), do: {:ok, Enum.reverse(path)}
 
@@ -64,7 +64,7 @@ defmodule Situ.Studio.Path do
 
   defp steps(_, _), do: :error
 
-  @doc "The value at `path` in `term`."
+  @doc "Returns the value at `path` in `term`."
   @spec fetch(term(), t()) :: {:ok, term()} | :error
   def fetch(term, []), do: {:ok, term}
 
@@ -83,7 +83,7 @@ defmodule Situ.Studio.Path do
       :error -> :error
     end
   rescue
-    # an improper list
+    # Enum.fetch/2 raises for an improper list.
     FunctionClauseError -> :error
   end
 
@@ -96,7 +96,7 @@ defmodule Situ.Studio.Path do
   def fetch(_, _), do: :error
 
   @doc """
-  The written form of one more step, for a child of something shown.
+  Appends a step to a path, for a child of a displayed value; `nil` if the key cannot be written in a path.
 
       iex> Situ.Studio.Path.child(".a", :b)
       ".a.b"

@@ -1,41 +1,41 @@
 defmodule Situ.Studio.Plugins do
   @moduledoc """
-  Extensions of Situ by others, without changing it: visualizers, adapters, readers of files, tasks.
+  Loads third-party extensions: visualizers, adapters, file readers and tasks.
 
   A **plug-in** is a folder:
 
       gaze-heat-map/
-        plugin.json       what it is, and which visualizers it has (`Situ.Studio.Plugins.Manifest`)
-        lib/*.ex          Elixir modules, found by their behaviours
+        plugin.json       its metadata and visualizers (`Situ.Studio.Plugins.Manifest`)
+        lib/*.ex          Elixir modules, recognized by their behaviours
         web/*.js          ES modules that draw in the page
-        test/             tests of both, `situ plugin test FOLDER`
+        test/             tests of both; run them with `situ plugin test FOLDER`
 
-  Plug-ins are looked for in folders that the user names (`plugins:` of `Situ.Studio`, `--plugins` on the command line)
-  and in `$XDG_CONFIG_HOME/situ/plugins`. **They run with all the rights of the user**, as any program does: trust a
-  folder only as far as its authors. The page loads scripts from there only, under its content security policy;
-  nothing of a plug-in can come from another site.
+  Plug-ins are loaded from the folders that the user names (`plugins:` of `Situ.Studio`, `--plugins` on the command
+  line) and from `$XDG_CONFIG_HOME/situ/plugins`. **They run with all permissions of the user**, like any other
+  program, so use only folders whose authors you trust. The page's content security policy allows scripts only from
+  these folders; a plug-in cannot load anything from another site.
 
-  Found by their behaviours in `lib/`:
+  Modules in `lib/` are recognized by their behaviours:
 
   | behaviour | becomes |
   |---|---|
-  | `Situ.Studio.Visualizer` | a visualizer (one that a part of the manifest names is that part's module) |
+  | `Situ.Studio.Visualizer` | a visualizer (a module named in the manifest belongs to that entry) |
   | `Situ.Studio.Adapter` | an adapter |
-  | `Situ.Store.Reader` | a reader: files of its extensions open as recordings, on the command line too |
+  | `Situ.Store.Reader` | a reader: files with its extensions open as recordings, also on the command line |
   | `Situ.Dataset.Task` | a task of `situ task` and of the studio |
 
-  Without a folder, an application brings the same by its configuration: `studio_visualizers`, `studio_adapters`,
-  `store_readers` and `dataset_tasks` in `env:` of its `mix.exs`.
+  An application can provide the same modules without a folder through its configuration: `studio_visualizers`,
+  `studio_adapters`, `store_readers` and `dataset_tasks` in `env:` of its `mix.exs`.
 
-  A broken plug-in harms nothing else. If its code does not compile, its visualizers remain and their panels show the
-  error. Code of plug-ins runs in processes of its own (`Situ.Studio.Plugins.Guard`).
+  A broken plug-in affects nothing else. If its code does not compile, its visualizers stay available and their panels
+  show the error. Code of plug-ins runs in separate processes (`Situ.Studio.Plugins.Guard`).
   """
   alias Situ.Error
   alias Situ.Studio.{Adapter, Visualizer, Visualizers}
   alias Situ.Studio.Plugins.{Code, Manifest}
 
   defmodule Plugin do
-    @moduledoc "One plug-in; `problem` is why it cannot be used, in words."
+    @moduledoc "A plug-in; `problem` explains why it cannot be used."
     @enforce_keys [:id, :title, :folder]
     defstruct [:id, :title, :folder, :problem, visualizers: [], modules: []]
 
@@ -49,7 +49,7 @@ defmodule Situ.Studio.Plugins do
           }
   end
 
-  @doc "The folder of plug-ins that is always looked into: `$XDG_CONFIG_HOME/situ/plugins`."
+  @doc "Returns the default plug-in folder, `$XDG_CONFIG_HOME/situ/plugins`, which is always searched."
   @spec default_dir() :: Path.t()
   def default_dir do
     config = System.get_env("XDG_CONFIG_HOME") || Path.join(System.user_home() || ".", ".config")
@@ -57,8 +57,8 @@ defmodule Situ.Studio.Plugins do
   end
 
   @doc """
-  The plug-ins of some folders: each is one, or holds some. Other folders are skipped; a broken plug-in is listed with
-  its problem; of two with one id, the second is listed with a problem.
+  Loads the plug-ins from folders that are plug-ins or contain plug-ins; other folders are skipped. A plug-in that is
+  broken, or whose id is already used by another plug-in, is listed with its problem.
 
       iex> Situ.Studio.Plugins.load(["/there/is/no/such/folder"])
       []
@@ -86,11 +86,11 @@ defmodule Situ.Studio.Plugins do
   defp taken?(plugins, %{id: id}), do: Enum.any?(plugins, &(&1.id == id))
 
   defp twice(plugin) do
-    problem = "another plug-in is called #{plugin.id}, too"
+    problem = "another plug-in has the same id, #{plugin.id}"
     %{plugin | problem: problem, visualizers: [], modules: []}
   end
 
-  @doc "One plug-in, from its folder."
+  @doc "Loads one plug-in from its folder."
   @spec plugin(Path.t()) :: Plugin.t()
   def plugin(folder) do
     folder = Path.expand(folder)
@@ -118,7 +118,7 @@ defmodule Situ.Studio.Plugins do
     end
   end
 
-  # It stays where it was, and says what is wrong.
+  # A broken visualizer stays in its panel and shows the problem.
   defp broken(visualizer, what) do
     panel = if visualizer.panel in [:plot, :lanes], do: visualizer.panel, else: :own
     %{visualizer | panel: panel, drawer: "broken", module: Visualizers.Broken, problem: what}
@@ -136,7 +136,7 @@ defmodule Situ.Studio.Plugins do
 
   defp module(name, modules) do
     case Enum.find(modules, &(inspect(&1) == name)) do
-      nil -> {:error, Error.new(:bad_plugin, "it names #{name}, which is not in its lib/")}
+      nil -> {:error, Error.new(:bad_plugin, "its manifest names #{name}, which is not in lib/")}
       module -> {:ok, module}
     end
   end
@@ -146,10 +146,10 @@ defmodule Situ.Studio.Plugins do
   defp script(%{script: "web/" <> rest = path, visualizer: v}, folder) do
     if File.regular?(Path.join(folder, path)),
       do: {:ok, "/plugins/#{v.plugin}/#{rest}"},
-      else: {:error, Error.new(:bad_plugin, "there is no #{path}")}
+      else: {:error, Error.new(:bad_plugin, "the script #{path} does not exist")}
   end
 
-  # Modules that are visualizers by themselves.
+  # Returns the visualizer modules that the manifest does not name.
   defp own(modules, parts, plugin) do
     for module <- Code.of(modules, Visualizer),
         not Enum.any?(parts, &(&1.module == module)) do
@@ -157,7 +157,7 @@ defmodule Situ.Studio.Plugins do
     end
   end
 
-  @doc "Every visualizer of some plug-ins, and those that their adapters and `adapters` open."
+  @doc "Returns the visualizers of plug-ins and applications, and the visualizers that adapters add."
   @spec visualizers([Plugin.t()], [Visualizer.given()], [module()]) :: [Visualizer.t()]
   def visualizers(plugins, given \\ [], adapters \\ []) do
     own =
@@ -174,14 +174,14 @@ defmodule Situ.Studio.Plugins do
           do: %{v | plugin: v.plugin || plugin.id}
   end
 
-  # Modules that applications name in their configuration.
+  # Returns the modules that loaded applications list in their configuration.
   defp brought(key) do
     for {app, _, _} <- Application.loaded_applications(),
         module <- Application.get_env(app, key, []),
         do: module
   end
 
-  @doc "Makes the readers and tasks of plug-ins known to stores and datasets, in this VM."
+  @doc "Registers the readers and tasks of plug-ins with stores and datasets in this VM."
   @spec register([Plugin.t()]) :: :ok
   def register(plugins) do
     modules = Enum.flat_map(plugins, & &1.modules)
@@ -196,7 +196,7 @@ defmodule Situ.Studio.Plugins do
     Application.put_env(app, key, Enum.uniq(Application.get_env(app, key, []) ++ modules))
   end
 
-  @doc "The addresses under which the pages find the scripts."
+  @doc "Returns the routes that serve the plug-ins' scripts."
   @spec routes([Plugin.t()]) :: [tuple()]
   def routes(plugins) do
     for %{problem: nil} = plugin <- plugins,

@@ -1,20 +1,21 @@
 defmodule Situ.Studio.Scene do
   @moduledoc """
-  One message as the page draws it in space: a list of items of nine kinds, whose numbers are binaries.
+  Represents one message for the page's 3D view: a list of items of nine kinds, with binary numeric data.
 
-  | kind | one item is | numbers of each |
+  | kind | an item contains | numbers |
   |---|---|---|
-  | `points` | a cloud | `position` 3 floats, perhaps `color` 3 bytes, `value` 1 float |
-  | `lines` | lines, or arrows where `arrow` is true | `position` 6 floats, perhaps `color` 3 bytes |
-  | `boxes` | boxes | `matrix` 16 floats, column by column, of a cube with edges of 1 |
-  | `meshes` | one mesh | `position` 3 floats, `index` 3 numbers of 32 bits |
-  | `texts` | texts that face the viewer | `position` 3 floats |
-  | `quads` | flat surfaces, perhaps with a picture | `corner` 12 floats: top left, top right, bottom right, bottom left |
-  | `frusta` | what cameras see | `corner` 15 floats: the apex, and the corners at 1 m |
-  | `graphs` | nodes, and edges between them | `position` 3 floats, `edge` 2 numbers of 32 bits, perhaps `confidence` 1 byte |
-  | `voxels` | cubes of one size | `position` 3 floats, perhaps `value` 1 float |
+  | `points` | a point cloud | `position` 3 floats, optionally `color` 3 bytes, `value` 1 float |
+  | `lines` | lines, or arrows if `arrow` is true | `position` 6 floats, optionally `color` 3 bytes |
+  | `boxes` | boxes | `matrix` 16 floats in column-major order, of a cube with edges of 1 |
+  | `meshes` | one mesh | `position` 3 floats, `index` 3 32-bit integers |
+  | `texts` | text that faces the viewer | `position` 3 floats |
+  | `quads` | flat surfaces, optionally with an image | `corner` 12 floats: top left, top right, bottom right, bottom left |
+  | `frusta` | camera frusta | `corner` 15 floats: the apex, and the corners at 1 m |
+  | `graphs` | nodes and their edges | `position` 3 floats, `edge` 2 32-bit integers, optionally `confidence` 1 byte |
+  | `voxels` | cubes of one size | `position` 3 floats, optionally `value` 1 float |
 
-  Metres, x forward, y left, z up. `names` says what the pointer finds, one for each.
+  Units are meters, with x forward, y left and z up. `names` contains the names that the pointer shows, one per
+  element.
 
       iex> item = Situ.Studio.Scene.item(:points, 1, [position: Situ.Studio.Scene.floats([1.0, 2.0, 3.0])])
       iex> <<size::little-32, 0::32, json::binary-size(size), _::binary>> =
@@ -31,7 +32,7 @@ defmodule Situ.Studio.Scene do
 
   @type kind ::
           :points | :lines | :boxes | :meshes | :texts | :quads | :frusta | :graphs | :voxels
-  @typedoc "`meta` is written as JSON, `numbers` as they are."
+  @typedoc "`meta` is encoded as JSON, `numbers` are copied unchanged."
   @type item :: %__MODULE__{
           kind: kind(),
           count: non_neg_integer(),
@@ -39,17 +40,17 @@ defmodule Situ.Studio.Scene do
           numbers: [{atom(), iodata()}]
         }
 
-  @doc "The kinds of items."
+  @doc "Returns the kinds of items."
   @spec kinds() :: [kind()]
   def kinds, do: @kinds
 
-  @doc "So many of a kind."
+  @doc "Creates an item with `count` elements of a kind."
   @spec item(kind(), non_neg_integer(), [{atom(), iodata()}], map()) :: item()
   def item(kind, count, numbers, meta \\ %{}) when kind in @kinds,
     do: %__MODULE__{kind: kind, count: count, numbers: numbers, meta: meta}
 
   @doc """
-  Numbers as 32-bit floats. Any other term becomes NaN, which the page leaves out and counts.
+  Encodes numbers as 32-bit floats. Any other term becomes NaN, which the page skips and counts.
 
       iex> Situ.Studio.Scene.floats([1, :nan]) |> IO.iodata_to_binary()
       <<0, 0, 128, 63, 0, 0, 192, 127>>
@@ -60,18 +61,18 @@ defmodule Situ.Studio.Scene do
   defp float(x) when is_number(x) and x <= @largest and x >= -@largest, do: <<x::little-float-32>>
   defp float(_other), do: @nan
 
-  @doc "Whole numbers of 32 bits."
+  @doc "Encodes 32-bit unsigned integers."
   @spec integers([0..4_294_967_295]) :: binary()
   def integers(values), do: for(value <- values, into: <<>>, do: <<value::little-32>>)
 
-  # A page holds so much of what may come again.
+  # The maximum total size of a page's mesh cache, and the minimum size of a mesh that is cached, in bytes.
   @most_kept 67_108_864
   @least_kept 1_024
 
   @doc """
-  Meshes that were sent before as their names alone: `kept` says which the page holds, by name with their bytes. One
-  that is new goes with its numbers and the name to keep it by, as long as there is room for it. Without `kept`
-  (`nil`) nothing is remembered.
+  Replaces the numbers of meshes that the page has cached with their names. `kept` maps the names of cached meshes to
+  their sizes. A new mesh is sent with its numbers and a name to cache it under, if the cache has room. If `kept` is
+  `nil`, nothing is cached.
 
       iex> mesh = Situ.Studio.Scene.item(:meshes, 1, position: <<0::9600>>, index: <<0::96>>)
       iex> {[%{numbers: [_, _], meta: %{"keep" => name}}], kept} = Situ.Studio.Scene.keep([mesh], %{})
@@ -110,7 +111,7 @@ defmodule Situ.Studio.Scene do
     Base.encode16(:crypto.hash(:sha256, [sizes | Keyword.values(numbers)]))
   end
 
-  @doc "The bytes that the page reads: the size of a JSON text (32 bits, and 32 more of 0), the text, the numbers."
+  @doc "Encodes items for the page: the size of a JSON text (32 bits, then 32 zero bits), the text, the numbers."
   @spec pack([item()], [String.t()]) :: iodata()
   def pack(items, problems \\ []) do
     {rows, {_, blobs}} = Enum.map_reduce(items, {0, []}, &place/2)
@@ -119,7 +120,7 @@ defmodule Situ.Studio.Scene do
     [<<size::little-32, 0::32>>, json, padding(size), Enum.reverse(blobs)]
   end
 
-  # Where the item's numbers stand behind the text, each at a multiple of 8.
+  # Computes the offsets of the item's numbers after the JSON text, aligned to 8 bytes.
   defp place(item, {at, blobs}) do
     {parts, {at, blobs}} =
       Enum.map_reduce(item.numbers, {at, blobs}, fn {name, bytes}, {at, blobs} ->

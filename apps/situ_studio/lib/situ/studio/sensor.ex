@@ -3,35 +3,35 @@ defmodule Situ.Studio.Sensor do
     page: [
       type: :string,
       default: "page",
-      doc: "The page's name: its address is `/sensor?name=NAME` of the studio."
+      doc: "The page's name; its address in the studio is `/sensor?name=NAME`."
     ],
     buffer: [
       type: :pos_integer,
       default: 200,
-      doc: "Pieces of sound that may wait for a slow pipeline; then the oldest is dropped."
+      doc: "The number of audio chunks buffered for a slow pipeline; then the oldest is dropped."
     ]
   ]
 
   @moduledoc """
-  A browser's camera and microphone as a source: a page of the studio, on this machine or on a phone.
+  Reads a browser's camera and microphone through a page of the studio, on this machine or on a phone.
 
       sensor = Situ.Studio.Sensor.open(p, page: "phone")
       sensor.video |> Situ.map(&Situ.Imaging.parse!(&1.data), type: Situ.Image)
       sensor.audio |> Situ.Audio.resample(16_000)
       Situ.Studio.Sensor.Speaker.play(answer, page: "phone")
 
-  The user opens `/sensor?name=phone` in the studio, chooses camera and microphone and starts them. Browsers allow
-  that on this machine, and elsewhere only over TLS (`Situ.Studio`, `tls: :own`).
+  The user opens `/sensor?name=phone` in the studio, selects a camera and a microphone and starts them. Browsers allow
+  this on localhost, and on other machines only over TLS (`Situ.Studio`, `tls: :own`).
 
-  | output | gives |
+  | output | value |
   |---|---|
-  | `:video` | pictures as JPEG, `Situ.EncodedImage` |
-  | `:audio` | sound at the browser's rate (mostly 48 kHz), 16 bit, mono; each piece at its end |
-  | `:clock` | how far the browser's clock is ahead, ms, each time it is measured |
+  | `:video` | JPEG images, `Situ.EncodedImage` |
+  | `:audio` | audio at the browser's rate (usually 48 kHz), 16 bit, mono; each chunk is timestamped at its end |
+  | `:clock` | the offset of the browser's clock in ms, after every measurement |
 
-  Times are the browser's, corrected by the difference of the clocks, which is measured by short round trips and is off
-  by half of the shortest at most. A picture is taken when the pipeline has taken the one before: a slow pipeline drops
-  pictures in the browser, before they are made.
+  Times are from the browser, corrected by the clock offset. The offset is measured with short round trips; its error
+  is at most half of the shortest round trip. The browser captures an image when the pipeline has consumed the
+  previous one, so for a slow pipeline frames are skipped before they are encoded.
 
   ## Options
 
@@ -45,7 +45,7 @@ defmodule Situ.Studio.Sensor do
   alias Situ.Studio.Sensor.Inbox
 
   @behaviour Situ.Studio.Sensor.Packet
-  # Pictures that may be under way.
+  # The maximum number of images in flight.
   @ahead 2
   @rates 8_000..192_000
 

@@ -1,7 +1,8 @@
 defmodule Situ.Studio.Settings do
   @moduledoc """
-  The settings of a studio for all its browsers: a JSON file beside the layouts. Missing or invalid values take their
-  defaults, so every page opens even with a damaged file. Settings of a single browser stay in that browser.
+  The settings that all browsers of a studio share, in a JSON file next to the layouts folder. Missing or invalid
+  values fall back to their defaults, so that every page opens even if the file is damaged. Settings of a single
+  browser are stored in that browser.
 
       iex> folder = Path.join(System.tmp_dir!(), "situ-doc-settings/layouts")
       iex> :ok = Situ.Studio.Settings.save(folder, %Situ.Studio.Settings{info: :size})
@@ -10,12 +11,12 @@ defmodule Situ.Studio.Settings do
       iex> File.rm_rf!(Path.dirname(folder)) != []
       true
 
-  | setting | means | usual |
+  | setting | meaning | default |
   |---|---|---|
-  | `layout` | the layout a recording opens with, where its address names none | `Automatic` |
-  | `keep` | `:by_hand`: a changed layout is saved on request; `:at_once`: with each change; `:ask`: on request, and who leaves the page with changes is asked | `:by_hand` |
-  | `info` | beside the streams' names: one of `Situ.Studio.Figures.choices/0` | `:rate` |
-  | `alerts` | rules held against running pipelines, one a line (`Situ.Studio.Alerts.Rule`) | none |
+  | `layout` | the initial layout of a recording whose address does not name one | `Automatic` |
+  | `keep` | `:by_hand`: layouts are saved on request; `:at_once`: with each change; `:ask`: on request, with a warning when a page with unsaved changes is closed | `:by_hand` |
+  | `info` | the statistic next to stream names, one of `Situ.Studio.Figures.choices/0` | `:rate` |
+  | `alerts` | alert rules for running pipelines, one per line (`Situ.Studio.Alerts.Rule`) | none |
   """
   alias Situ.Error
   alias Situ.Studio.Alerts.Rule
@@ -34,12 +35,12 @@ defmodule Situ.Studio.Settings do
           alerts: String.t()
         }
 
-  @doc "The choices of a setting."
+  @doc "Returns the choices of a setting."
   @spec choices(:keep | :info) :: [atom()]
   def choices(:keep), do: @keeps
   def choices(:info), do: @infos
 
-  @doc "The settings beside the folder of the layouts."
+  @doc "Loads the settings that belong to the folder of layouts."
   @spec load(Path.t()) :: t()
   def load(layouts) do
     with {:ok, %{size: size}} when size <= @max_bytes <- File.stat(path(layouts)),
@@ -52,7 +53,7 @@ defmodule Situ.Studio.Settings do
   end
 
   @doc """
-  With what a form or a file says, as far as it means something.
+  Updates the settings with the valid values from a form or a file.
 
       iex> Situ.Studio.Settings.put(%Situ.Studio.Settings{}, %{"info" => "count", "keep" => "sometimes"})
       %Situ.Studio.Settings{layout: "Automatic", keep: :by_hand, info: :count, alerts: ""}
@@ -71,7 +72,7 @@ defmodule Situ.Studio.Settings do
     }
   end
 
-  # Rules that are none are kept out: what a file says by hand may be anything.
+  # A file that was edited by hand may contain invalid rules, which are ignored.
   defp alerts(text, usual) when is_binary(text) do
     if String.valid?(text) and match?({:ok, _}, Rule.read(text)), do: text, else: usual
   end
@@ -80,7 +81,7 @@ defmodule Situ.Studio.Settings do
 
   defp one(choices, text, usual), do: Enum.find(choices, usual, &(Atom.to_string(&1) == text))
 
-  @doc "Writes them whole or not at all."
+  @doc "Saves the settings atomically."
   @spec save(Path.t(), t()) :: :ok | {:error, Error.t()}
   def save(layouts, %__MODULE__{} = settings) do
     path = path(layouts)
@@ -98,7 +99,7 @@ defmodule Situ.Studio.Settings do
         {:error,
          Error.new(:not_saved, "the settings cannot be saved",
            why: "#{path}: #{:file.format_error(reason)}",
-           fix: "make the folder writable, or start the studio with another layouts:"
+           fix: "make the folder writable, or start the studio with a different layouts:"
          )}
     end
   end

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Sound do
   @moduledoc """
-  A stretch of an audio stream as 32-bit float samples of one channel or of all, put where their times say: gaps are
-  silence.
+  Reads an interval of an audio stream as 32-bit float samples of one or all channels. Samples are positioned by their
+  timestamps; gaps become silence.
   """
   alias Situ.{AudioBuffer, AudioFormat, Error, Sound}
   alias Situ.Studio.Source
@@ -9,7 +9,7 @@ defmodule Situ.Studio.Sound do
   @max_span 10_000_000_000
   @buffers 20_000
 
-  @doc "Start time, rate and samples between `from` and `to` (at most 10 s); channel 0 is the first."
+  @doc "Returns start time, rate and samples between `from` and `to` (at most 10 s); channel 0 is the first."
   @spec samples(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t(), non_neg_integer()) ::
           {:ok, {Situ.Time.t(), pos_integer(), binary()}} | {:error, Error.t()}
   def samples(source, stream, from, to, channel) do
@@ -17,16 +17,16 @@ defmodule Situ.Studio.Sound do
          do: {:ok, {start, rate, samples}}
   end
 
-  @doc "Start time, rate, number of channels, and the samples of all channels, frame by frame."
+  @doc "Returns start time, rate, number of channels and the interleaved samples of all channels."
   @spec frames(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, {Situ.Time.t(), pos_integer(), pos_integer(), binary()}} | {:error, Error.t()}
   def frames(source, stream, from, to), do: read(source, stream, {from, to}, :all)
 
   defp read(_, _, {from, to}, _) when to <= from or to - from > @max_span,
-    do: {:error, Error.new(:bad_interval, "a request for sound may span 10 s at most")}
+    do: {:error, Error.new(:bad_interval, "the interval must be positive and at most 10 s")}
 
   defp read(source, stream, {from, to}, channel) do
-    # a buffer's time is that of its end, so the one that ends after `to` may hold the last samples
+    # A buffer's timestamp is its end, so a buffer that ends after `to` may contain the last samples.
     with {:ok, messages, _} <- Source.call(source, :messages, [stream, from, to, @buffers]) do
       later =
         case Source.call(source, :next_after, [stream, to]) do
@@ -64,7 +64,7 @@ defmodule Situ.Studio.Sound do
     {from, rate, width, parts |> Enum.reverse() |> IO.iodata_to_binary()}
   end
 
-  # A buffer of fewer channels gives its last one for those that it has not.
+  # In a buffer with fewer channels, the last channel replaces the missing ones.
   defp floats(buffer, channel, width) do
     last = buffer.format.channels - 1
     taken = if channel == :all, do: 0..(width - 1), else: [channel]

@@ -1,9 +1,9 @@
 defmodule Situ.Studio.Source do
   @moduledoc """
-  Where streams come from: a store on disk, a store being written, a running pipeline. Everything the studio draws is
-  asked of a source through these functions; handles are plain terms usable from any process.
+  A source of streams: a store on disk, a store that is being written, or a running pipeline. The studio reads all
+  data through these functions; handles are plain terms that any process can use.
 
-  Times are inclusive at both ends. A source that is gone answers `{:error, error}` and the page shows the error.
+  Times are inclusive at both ends. A source that is gone returns `{:error, error}` and the page shows the error.
   """
   alias Situ.Studio.{Source, StreamInfo}
 
@@ -16,15 +16,15 @@ defmodule Situ.Studio.Source do
           version: non_neg_integer()
         }
 
-  @doc "First and last time, whether it grows, and a number that changes with the list of streams."
+  @doc "Returns the first and last time, whether the source is live, and a version that changes when streams are added."
   @callback extent(handle :: term()) :: {:ok, extent()} | {:error, Situ.Error.t()}
 
-  @doc "The streams of the source."
+  @doc "Returns the streams of the source."
   @callback streams(handle :: term()) :: {:ok, [StreamInfo.t()]} | {:error, Situ.Error.t()}
 
   @doc """
-  The signal of a numeric or audio stream between two times in bins `bin` ns wide, or message by message where there are
-  fewer; with the neighbours just outside, so that lines reach the edges.
+  Returns the signal of a numeric or audio stream between two times in bins of `bin` ns, or message by message if
+  there are fewer messages than bins. Includes the neighbors just outside, so that lines reach the edges.
   """
   @callback series(
               handle :: term(),
@@ -35,7 +35,7 @@ defmodule Situ.Studio.Source do
             ) ::
               {:ok, [Situ.Codec.point()], raw? :: boolean()} | {:error, Situ.Error.t()}
 
-  @doc "At most `limit` messages between two times, in order; `:more` when there are more."
+  @doc "Returns at most `limit` messages between two times, in order, and `:more` if there are more."
   @callback messages(
               handle :: term(),
               stream :: String.t(),
@@ -44,7 +44,7 @@ defmodule Situ.Studio.Source do
               limit :: pos_integer()
             ) :: {:ok, [Situ.Message.t()], :all | :more} | {:error, Situ.Error.t()}
 
-  @doc "Times and latencies of at most `limit` messages; when there are more, evenly thinned and `:more`."
+  @doc "Returns times and latencies of at most `limit` messages; if there are more, evenly thinned and with `:more`."
   @callback marks(
               handle :: term(),
               stream :: String.t(),
@@ -55,17 +55,17 @@ defmodule Situ.Studio.Source do
               {:ok, [{Situ.Time.t(), Situ.Time.duration()}], :all | :more}
               | {:error, Situ.Error.t()}
 
-  @doc "The last message at or before a time."
+  @doc "Returns the last message at or before a time."
   @callback latest_at(handle :: term(), stream :: String.t(), Situ.Time.t()) ::
               {:ok, Situ.Message.t()} | :none | {:error, Situ.Error.t()}
 
-  @doc "The first message after a time."
+  @doc "Returns the first message after a time."
   @callback next_after(handle :: term(), stream :: String.t(), Situ.Time.t()) ::
               {:ok, Situ.Message.t()} | :none | {:error, Situ.Error.t()}
 
   @doc """
-  At most about `n` messages of those between two times, evenly by number, each with its place in the stream (neighbours
-  differ by one). Where it is missing, the sample is taken evenly over the time.
+  Returns about `n` or fewer messages between two times, evenly spaced by number, each with its position in the stream
+  (adjacent messages differ by one). Without this callback, the sample is evenly spaced in time.
   """
   @callback sample(
               handle :: term(),
@@ -76,8 +76,8 @@ defmodule Situ.Studio.Source do
             ) :: {:ok, [{integer(), Situ.Message.t()}]} | {:error, Situ.Error.t()}
 
   @doc """
-  A summary of many messages without reading them (`Situ.Store.Summary.read/6`), or `:none` if there are so few that
-  reading them is better.
+  Returns a summary of many messages without reading them (`Situ.Store.Summary.read/6`), or `:none` if there are so
+  few messages that reading them is better.
   """
   @callback summary(
               handle :: term(),
@@ -87,16 +87,16 @@ defmodule Situ.Studio.Source do
               bins :: pos_integer()
             ) :: {:ok, Situ.Store.Summary.t()} | :none | {:error, Situ.Error.t()}
 
-  @doc "The damage of the source, in sentences; `[]` if all of it can be read."
+  @doc "Returns descriptions of the damage of the source; `[]` if it is fully readable."
   @callback damage(handle :: term()) :: [String.t()]
 
   @doc """
-  A page shows these streams, whether it asks for any of them at the moment or not: a source that reads only what
-  somebody wants goes on with them.
+  Announces the streams that a page shows, even if it does not request data at the moment. A source that captures
+  streams on demand keeps capturing them.
   """
   @callback wanted(handle :: term(), streams :: [String.t()]) :: term()
 
-  @doc "At most `n` messages before a time or after it, the nearest first; for sources that have many at once."
+  @doc "Returns at most `n` messages before or after a time, nearest first; for sources that can read many together."
   @callback neighbours(
               handle :: term(),
               stream :: String.t(),
@@ -107,11 +107,11 @@ defmodule Situ.Studio.Source do
 
   @optional_callbacks sample: 5, summary: 5, damage: 1, wanted: 2, neighbours: 5
 
-  @doc "Calls the source's function of this name."
+  @doc "Calls a function of the source."
   @spec call(t(), atom(), list()) :: term()
   def call({module, handle}, function, args), do: apply(module, function, [handle | args])
 
-  @doc "Tells the source which streams a page shows, see `c:wanted/2`."
+  @doc "Announces the streams that a page shows, see `c:wanted/2`."
   @spec wanted(t(), [String.t()]) :: :ok
   def wanted({module, handle}, streams) do
     if streams != [] and function_exported?(module, :wanted, 2),
@@ -120,13 +120,13 @@ defmodule Situ.Studio.Source do
     :ok
   end
 
-  @doc "The damage of the source, see `c:damage/1`."
+  @doc "Returns the damage of the source, see `c:damage/1`."
   @spec damage(t()) :: [String.t()]
   def damage({module, handle}) do
     if function_exported?(module, :damage, 1), do: module.damage(handle), else: []
   end
 
-  @doc "The summary of a stream, see `c:summary/5`; `:none` where the source makes none."
+  @doc "Returns the summary of a stream, see `c:summary/5`, or `:none` if the source does not support summaries."
   @spec summary(t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, Situ.Store.Summary.t()} | :none | {:error, Situ.Error.t()}
   def summary({module, handle}, stream, from, to, bins) do
@@ -135,7 +135,7 @@ defmodule Situ.Studio.Source do
       else: :none
   end
 
-  @doc "At most about `n` messages of those between two times, with their places, see `c:sample/5`."
+  @doc "Returns about `n` or fewer messages between two times with their positions, see `c:sample/5`."
   @spec sample(t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, [{integer(), Situ.Message.t()}]} | {:error, Situ.Error.t()}
   def sample({module, handle} = source, stream, from, to, n) do
@@ -144,7 +144,7 @@ defmodule Situ.Studio.Source do
       else: {:ok, over_time(source, stream, from, to, n)}
   end
 
-  # Nobody knows what lies between them: no two are neighbours.
+  # Messages between the samples are unknown, so positions differ by two: no two samples count as adjacent.
   defp over_time(source, stream, from, to, n) do
     messages =
       for i <- 1..n,
@@ -159,7 +159,7 @@ defmodule Situ.Studio.Source do
   end
 
   @doc """
-  At most `n` messages before a time or after it, the nearest first; `[]` of a stream that cannot be read. See
+  Returns at most `n` messages before or after a time, nearest first; `[]` if the stream cannot be read. See
   `c:neighbours/5`.
   """
   @spec neighbours(t(), String.t(), :before | :after, Situ.Time.t(), pos_integer()) ::
@@ -169,7 +169,7 @@ defmodule Situ.Studio.Source do
          {:ok, messages} <- module.neighbours(handle, stream, side, time, n) do
       messages
     else
-      # up to what is damaged
+      # Reading one by one returns the messages up to the first damaged one.
       _ -> one_by_one(source, stream, side, time, n)
     end
   end
@@ -189,7 +189,7 @@ defmodule Situ.Studio.Source do
     |> Enum.take(n)
   end
 
-  @doc "The message whose originating time is nearest to `time`."
+  @doc "Returns the message whose originating time is nearest to `time`."
   @spec nearest(t(), String.t(), Situ.Time.t()) ::
           {:ok, Situ.Message.t()} | :none | {:error, Situ.Error.t()}
   def nearest(source, stream, time) do

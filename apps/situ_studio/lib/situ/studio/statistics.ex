@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Statistics do
   @moduledoc """
-  Numbers about the messages of a stream within an interval: how many, how often, how evenly, and of numbers their
-  distribution.
+  Computes statistics of a stream's messages within an interval: count, rate, regularity, and the distribution of
+  numeric values.
 
       iex> pairs = [{0, 1}, {10, 2}, {20, 3}, {40, 10}]
       iex> messages = for {t, v} <- pairs, do: %Situ.Message{data: v, originating_time: t}
@@ -11,19 +11,19 @@ defmodule Situ.Studio.Statistics do
       iex> {stats["rate_hz"], stats["period_ns"], stats["longest_pause_ns"]}
       {7.5e7, 10, 20}
 
-  A gap is a pause of more than three times the usual one. The standard deviation is that of a sample (n - 1);
-  percentiles are messages' own values (nearest rank).
+  A gap is a pause of more than three times the median pause. The standard deviation is the sample standard deviation
+  (n - 1); percentiles are values of messages (nearest rank).
   """
   alias Situ.Studio.{Path, Source}
   alias Situ.Studio.Draw.{Bins, Key}
 
-  # So many times the usual pause without a message is a gap.
+  # A pause longer than this multiple of the median pause is a gap.
   @gap 3
-  # Messages are read in pages; beyond the most of them nothing is told but where that is.
+  # Messages are read in pages; messages after the first two million are not included.
   @page 20_000
   @most 2_000_000
   @keys 8
-  # Squares of larger numbers are too large for a float.
+  # The square of a larger number overflows a float.
   @large 1.0e150
 
   @type row :: %{
@@ -35,10 +35,10 @@ defmodule Situ.Studio.Statistics do
         }
 
   @doc """
-  The statistics of what `vis` draws (`%{stream: name, path: text}`) from `from` to `to`, ready for the page: a row for
-  the stream, or for each key (the first eight) of maps of numbers. A row has the `name`, the `values` as `[name,
-  number]`, `all`: whether every message is in them (false beyond two million, of which the first are); of a stream
-  that cannot be read, the `error`.
+  Computes the statistics of the stream that `vis` draws (`%{stream: name, path: text}`) from `from` to `to`, in the
+  page's format: one row for the stream, or one for each key (the first eight) of maps of numbers. A row contains the
+  `name`, the `values` as `[name, number]`, and `all`, whether every message is included (false if there are more than
+  two million, of which the first are used). The row of an unreadable stream contains the `error`.
   """
   @spec within(
           Source.t(),
@@ -64,13 +64,13 @@ defmodule Situ.Studio.Statistics do
     end
   end
 
-  # Of a panel so many streams are told, and so many rows.
+  # The maximum number of streams and rows for one panel.
   @streams 8
   @rows 16
 
   @doc """
-  Those of all that a panel draws. Millions of messages take a while to read, so this is done by another process, which
-  sends `{:statistics, rows}` to the caller.
+  Computes the statistics of all streams that a panel draws. Reading millions of messages takes a while, so another
+  process does it and sends `{:statistics, rows}` to the caller.
   """
   @spec begin(Source.t(), [map()], Situ.Time.t(), Situ.Time.t()) :: :ok
   def begin(source, vis, from, to) do
@@ -85,7 +85,7 @@ defmodule Situ.Studio.Statistics do
     :ok
   end
 
-  # {time, value} of every message; of the value only what is counted, so that pictures are not kept.
+  # Returns `{time, value}` for every message. Only numbers are kept, so that images do not stay in memory.
   defp read(source, stream, path, range), do: read(source, stream, path, range, [], 0)
 
   defp read(source, stream, path, {from, to} = range, read, n) do
@@ -127,7 +127,7 @@ defmodule Situ.Studio.Statistics do
     end
   end
 
-  # Maps have a part for each key, with the messages that have it.
+  # Splits maps into one part per key, with the messages that contain the key.
   defp parts(pairs) do
     case for({_, %{} = map} <- pairs, key <- Map.keys(map), uniq: true, do: key) do
       [] ->
@@ -141,7 +141,7 @@ defmodule Situ.Studio.Statistics do
 
   defp numbers(pairs), do: for({_, number} when is_number(number) <- pairs, do: number)
 
-  @doc "Names and values, in the order in which they are shown; `path` picks a part of the messages."
+  @doc "Returns names and values in display order; `path` selects a part of the messages."
   @spec of([Situ.Message.t()], Path.t()) :: [{String.t(), number()}]
   def of(messages, path) do
     pairs = slim(messages, path)
@@ -152,8 +152,8 @@ defmodule Situ.Studio.Statistics do
     do: [{"n", length(pairs)}] ++ pace(Enum.map(pairs, &elem(&1, 0))) ++ spread(numbers)
 
   @doc """
-  How often numbers fall into each of so many equal steps from the least to the greatest; `nil` where they are all
-  one.
+  Counts the numbers in equal-width bins from the minimum to the maximum. Returns `nil` if the list is empty or all
+  numbers are equal.
 
       iex> Situ.Studio.Statistics.histogram([0, 1, 1, 4], 4)
       %{from: 0, to: 4, counts: [1, 2, 0, 1]}
@@ -167,7 +167,7 @@ defmodule Situ.Studio.Statistics do
 
   def histogram(values, steps) do
     {least, greatest} = Enum.min_max(values)
-    # halves, since the difference of two of the largest numbers is none
+    # Halving avoids an overflow in the difference of two very large numbers.
     width = (greatest / 2 - least / 2) / steps
 
     if width > 0 do
@@ -219,8 +219,8 @@ defmodule Situ.Studio.Statistics do
 
   defp rank(sorted, part), do: elem(sorted, max(ceil(part * tuple_size(sorted)) - 1, 0))
 
-  # Mean and standard deviation, from how far the values are from the first: large ones that differ little keep their
-  # digits, and the largest are made smaller before they are squared.
+  # Computes mean and standard deviation from the differences to the first value, which keeps precision for large
+  # values with small differences. Very large values are scaled down before they are squared.
   defp moments([first | _] = values) do
     case Enum.reduce(values, 0.0, &max(abs(&1), &2)) do
       most when most > @large ->

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Stores do
   @moduledoc false
-  # Which recordings and datasets lie at or below a path, by name; the name is what stands in an address. Links are not
-  # followed: they may lead round in a circle, or out of the folder.
+  # Finds recordings and datasets at or below a path by name, the name that addresses contain. Symbolic links are not
+  # followed, because they may form a cycle or lead out of the folder.
 
   alias Situ.Dataset.Document
   alias Situ.Store.Formats
@@ -13,11 +13,11 @@ defmodule Situ.Studio.Stores do
 
   @type name :: String.t()
 
-  @doc "The recordings at or below a path: at most 5,000, at most eight folders deep."
+  @doc "Returns the recordings at or below a path: at most 5,000, at most eight folders deep."
   @spec discover(Path.t() | nil) :: [{name(), Path.t()}]
   def discover(path), do: path |> all() |> elem(0)
 
-  @doc "The recordings at or below a path, and the datasets."
+  @doc "Returns the recordings and the datasets at or below a path."
   @spec all(Path.t() | nil) :: {[{name(), Path.t()}], [{name(), Path.t()}]}
   def all(nil), do: {[], []}
 
@@ -42,11 +42,11 @@ defmodule Situ.Studio.Stores do
     end
   end
 
-  @doc "The one recording of that name, looked up without looking at the others."
+  @doc "Returns the recording with that name, without scanning the others."
   @spec find(Path.t() | nil, name()) :: {:ok, Path.t()} | :error
   def find(path, name), do: at(path, name, &(recording?(&1) and not Document.dataset?(&1)))
 
-  @doc "The dataset of that name."
+  @doc "Returns the dataset with that name."
   @spec dataset(Path.t() | nil, name()) :: {:ok, Path.t()} | :error
   def dataset(path, name), do: at(path, name, &Document.dataset?/1)
 
@@ -63,7 +63,7 @@ defmodule Situ.Studio.Stores do
     end
   end
 
-  # A server has names and no folders.
+  # A server has a flat list of names.
   defp elsewhere(path, name) do
     case Enum.find(Formats.within(path), &(named(&1) == name)) do
       nil -> :error
@@ -81,7 +81,7 @@ defmodule Situ.Studio.Stores do
 
   defp known_file?(path), do: Formats.for_file(path) != nil and File.regular?(path)
 
-  # Every part of the name is a part of a path, and none is a link.
+  # Every segment of the name must be a plain path segment, and must not be a symbolic link.
   defp inside?(root, name) do
     parts = String.split(name, "/")
 
@@ -102,7 +102,7 @@ defmodule Situ.Studio.Stores do
     |> Enum.sort_by(fn {name, _} -> NaturalOrder.key(name) end)
   end
 
-  # Every save of annotations is a version: the list has the last one, an address any.
+  # Every save of annotations creates a version; the list contains only the latest, but an address can name any.
   defp newest(paths) do
     {annotations, others} = Enum.split_with(paths, &(Path.basename(&1) =~ "-annotation-"))
 
@@ -137,7 +137,7 @@ defmodule Situ.Studio.Stores do
   defp known_ending?(path),
     do: (Formats.for_file(path) != nil and whole?(path)) or Document.dataset?(path)
 
-  # A store of JSON is its catalog; other JSON (statistics, settings) is no recording.
+  # A JSON store is listed by its catalog; other JSON files (statistics, settings) are not recordings.
   defp whole?(path), do: Path.extname(path) != ".json" or String.ends_with?(path, ".Catalog.json")
 
   defp kind(path) do

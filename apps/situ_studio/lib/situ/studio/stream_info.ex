@@ -1,12 +1,12 @@
 defmodule Situ.Studio.StreamInfo do
   @moduledoc """
-  The studio's facts about one stream of any source, and the kind of picture for it.
+  Describes one stream of any source, including its shape, by which visualizers are chosen.
 
-  `shape` is the noun a visualizer is chosen by: `:signal`, `:boolean`, `:state` (atoms), `:text`, `:audio`, `:image`,
-  `:depth`, `:shapes` (rectangles and points over pictures), `:masks` (lists of masks over pictures), `:bars` (lists of
-  numbers), `:signals` (maps of numbers),
-  `:states` (maps of booleans, atoms or texts), `:spans` (intervals of time), `:space` (poses, clouds, skeletons ...),
-  `:frames` (`Situ.Transform`s), `:place` (on the Earth) or `:value` (anything).
+  `shape` is one of `:signal`, `:boolean`, `:state` (atoms), `:text`, `:audio`, `:image`, `:depth`, `:shapes`
+  (rectangles and points over images), `:masks` (lists of masks over images), `:bars` (lists of numbers), `:signals`
+  (maps of numbers), `:states` (maps of booleans, atoms or strings), `:spans` (time intervals), `:space` (poses,
+  clouds, skeletons and so on), `:frames` (`Situ.Transform`s), `:place` (geographic positions) or `:value` (any other
+  term).
 
       iex> Situ.Studio.StreamInfo.shape({:list, Situ.Rect})
       :shapes
@@ -58,8 +58,8 @@ defmodule Situ.Studio.StreamInfo do
           | :place
           | :value
   @typedoc """
-  `keys` are lanes known of a stream of maps, so that a panel has room for them from the start; `path` is the recording
-  on this machine's disk that the stream lies in.
+  `keys` contains the known lanes of a stream of maps, so that a panel has room for them from the start. `path` is the
+  path of the recording that contains the stream, if it is on this machine's disk.
   """
   @type t :: %__MODULE__{
           name: String.t(),
@@ -76,7 +76,7 @@ defmodule Situ.Studio.StreamInfo do
           details: [{String.t(), String.t() | {:time, Situ.Time.t()}}]
         }
 
-  @doc "All shapes."
+  @doc "Returns all shapes."
   @spec shapes() :: [shape()]
   def shapes do
     [:signal, :boolean, :state, :text, :audio, :image, :depth, :shapes, :masks, :bars, :signals] ++
@@ -84,7 +84,7 @@ defmodule Situ.Studio.StreamInfo do
   end
 
   @doc """
-  Messages a second, of so many between two times; `nil` where that says nothing.
+  Returns the mean rate of `count` messages between two times per second, or `nil` if it is undefined.
 
       iex> Situ.Studio.StreamInfo.rate(101, 0, 1_000_000_000)
       100.0
@@ -95,7 +95,7 @@ defmodule Situ.Studio.StreamInfo do
 
   def rate(_, _, _), do: nil
 
-  @doc "The shape of a declared type; `:any` is known better by `shape_of/1`."
+  @doc "Returns the shape of a declared type; for `:any`, `shape_of/1` of a message is more precise."
   @spec shape(Situ.Type.t() | nil) :: shape()
   def shape(type) when type in [:integer, :float, :number], do: :signal
   def shape(:boolean), do: :boolean
@@ -140,7 +140,7 @@ defmodule Situ.Studio.StreamInfo do
   def shape(_), do: :value
 
   @doc """
-  The shape of a type known by its text only, as `Situ.Type.to_string/1` writes it.
+  Returns the shape of a type given as text in the format of `Situ.Type.to_string/1`.
 
       iex> Situ.Studio.StreamInfo.shape_of_text("list of Situ.Rect")
       :shapes
@@ -152,7 +152,7 @@ defmodule Situ.Studio.StreamInfo do
 
   @simple ~w(integer float number boolean atom string)
 
-  # Only the parts of a type that decide its shape. Names become atoms only if those exist already.
+  # Parses only the parts of a type that determine its shape. A name is converted only if its atom already exists.
   defp read("list of " <> type), do: {:list, read(type)}
   defp read("one of :" <> _), do: :atom
   defp read(text) when text in @simple, do: String.to_existing_atom(text)
@@ -174,8 +174,7 @@ defmodule Situ.Studio.StreamInfo do
   end
 
   @doc """
-  The shape and lanes that some messages show beyond their declared type: the shape if that is `:value`, and the lanes
-  of maps.
+  Refines the shape with some messages: infers the shape if it is `:value`, and the lanes of maps and intervals.
 
       iex> Situ.Studio.StreamInfo.look_inside(:value, [%{}, %{left: true}, %{right: false}])
       {:states, ["left", "right"]}
@@ -198,7 +197,7 @@ defmodule Situ.Studio.StreamInfo do
 
   def look_inside(shape, _), do: {shape, []}
 
-  @doc "The shape of a message's data."
+  @doc "Returns the shape of a message's data."
   @spec shape_of(term()) :: shape()
   def shape_of(data) when is_number(data), do: :signal
   def shape_of(data) when is_boolean(data), do: :boolean

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Table do
   @moduledoc """
-  Messages of streams as rows of CSV (RFC 4180), and sound as a WAV file: what people take out of a selection.
+  Exports messages from a selection: tables as CSV (RFC 4180) or Parquet, and audio as a WAV file.
 
       iex> message = %Situ.Message{data: "say \\"hi\\"", originating_time: 1_500_000_000, creation_time: 1_500_000_000}
       iex> Situ.Studio.Table.row("Speech", message)
@@ -8,12 +8,12 @@ defmodule Situ.Studio.Table do
   """
   alias Situ.Studio.{Sound, Source}
 
-  # Read in pages, so that memory does not grow with what is asked for.
+  # Messages are read in pages, so that memory use does not depend on the length of the selection.
   @page 2_000
   @second 1_000_000_000
   @stretch 10 * @second
 
-  @doc "The rows of streams between two times, a header first, as chunks of text."
+  @doc "Returns the CSV rows of streams between two times, including a header, as an enumerable of text chunks."
   @spec csv(Source.t(), [String.t()], Situ.Time.t(), Situ.Time.t()) :: Enumerable.t()
   def csv(source, streams, from, to) do
     rows = Stream.flat_map(streams, &pages(source, &1, from, to))
@@ -37,9 +37,9 @@ defmodule Situ.Studio.Table do
   end
 
   @doc """
-  The same rows as a Parquet file at `path`, `{:ok, rows}`: the times, `stream`, and `value` or a column for each member
-  of maps and structs (`Situ.Bridge.Parquet`). Streams of pictures and sound are left out; where nothing else is asked
-  for, that is the error `:no_table`.
+  Writes the rows to a Parquet file at `path` and returns `{:ok, rows}`. The columns are the times, `stream`, and
+  `value` or one column per member of maps and structs (`Situ.Bridge.Parquet`). Image and audio streams are left out;
+  if there are no other streams, the error is `:no_table`.
   """
   @spec parquet(Source.t(), [String.t()], Situ.Time.t(), Situ.Time.t(), Path.t()) ::
           {:ok, non_neg_integer()} | {:error, Situ.Error.t()}
@@ -47,8 +47,8 @@ defmodule Situ.Studio.Table do
     case Enum.filter(streams, &table?(source, &1, to)) do
       [] ->
         {:error,
-         Situ.Error.new(:no_table, "pictures and sound are not put into tables",
-           fix: "take numbers, states or texts; sound goes to WAV"
+         Situ.Error.new(:no_table, "images and audio cannot be exported as a table",
+           fix: "select numbers, states or text; export audio as WAV"
          )}
 
       some ->
@@ -77,7 +77,7 @@ defmodule Situ.Studio.Table do
 
   defp rows(stream, messages), do: messages |> Enum.map(&row(stream, &1)) |> IO.iodata_to_binary()
 
-  @doc "One row: time in ns and as a date, stream, value. Other values become JSON, or their size."
+  @doc "Encodes one CSV row: ns time, date, stream, value. Structured values become JSON, binaries their size."
   @spec row(String.t(), Situ.Message.t()) :: String.t()
   def row(stream, %Situ.Message{originating_time: time, data: data}) do
     fields = [Integer.to_string(time), Situ.Time.to_iso8601(time), stream, value(data)]
@@ -93,13 +93,13 @@ defmodule Situ.Studio.Table do
   defp value(data) do
     Situ.JSON.encode(data)
   rescue
-    # pictures, sound and the like have no place in a table
+    # Images, audio and similar values have no JSON form.
     _ -> inspect(data, limit: 20, printable_limit: 200)
   end
 
   defp size(data), do: "#{byte_size(data)} bytes"
 
-  # A text that a table program would run as a formula is quoted by an apostrophe; numbers stay numbers.
+  # An apostrophe keeps spreadsheets from running text as a formula; numbers are unchanged.
   defp field(<<c, _::binary>> = text) when c in ~c"=+-@" do
     if match?({_, ""}, Float.parse(text)), do: text, else: quoted("'" <> text)
   end
@@ -109,7 +109,7 @@ defmodule Situ.Studio.Table do
 
   defp quoted(text), do: "\"" <> String.replace(text, "\"", "\"\"") <> "\""
 
-  @doc "A stream of sound between two times as a WAV file of 32-bit floats, all its channels; gaps are silence."
+  @doc "Encodes audio between two times as a WAV file of 32-bit floats with all channels; gaps are silence."
   @spec wav(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, iodata()} | {:error, Situ.Error.t()}
   def wav(source, stream, from, to) do
@@ -126,11 +126,11 @@ defmodule Situ.Studio.Table do
     end
   end
 
-  # A stretch lasts as long in the file as in the recording, also where there is no sound, or not up to its end.
+  # Pads every part except the last to its duration in the recording, even if it contains little or no audio.
   defp joined(parts) do
     case Enum.find(parts, fn {{_, _, _, samples}, _} -> samples != "" end) do
       nil ->
-        {:error, Situ.Error.new(:silent, "there is no sound between these times")}
+        {:error, Situ.Error.new(:silent, "there is no audio between these times")}
 
       {{_, rate, channels, _}, _} ->
         frame = 4 * channels
@@ -150,7 +150,7 @@ defmodule Situ.Studio.Table do
   defp stretches(from, to),
     do: for(a <- from..(to - 1)//@stretch, do: {a, min(a + @stretch, to)})
 
-  # Microsoft, RIFF WAVE: format 3 is IEEE float.
+  # Format code 3 of Microsoft's RIFF WAVE specification is IEEE float.
   defp header(rate, channels, bytes) do
     frame = 4 * channels
 

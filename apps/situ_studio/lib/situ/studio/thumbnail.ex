@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Thumbnail do
   @moduledoc """
-  A small picture of a recording, for lists: a picture out of its middle, or the line of its first signal.
+  Renders a thumbnail of a recording for lists: an image from its middle, or a plot of its first signal.
   """
   alias Situ.{Image, Imaging}
   alias Situ.Studio.{Draw, Source}
@@ -9,7 +9,7 @@ defmodule Situ.Studio.Thumbnail do
   @height 90
   @bins 160
 
-  @doc "The bytes with their media type; `:none` where the recording has nothing to picture."
+  @doc "Returns the media type and the bytes, or `:none` if the recording has no image and no signal."
   @spec of(Source.t()) :: {:ok, String.t(), iodata()} | :none
   def of(source) do
     with {:ok, streams} <- Source.call(source, :streams, []),
@@ -23,7 +23,7 @@ defmodule Situ.Studio.Thumbnail do
     end
   end
 
-  @doc "Returns the SVG picture of a recording that has nothing to show: a dashed line."
+  @doc "Returns the SVG image of a recording without a thumbnail: a dashed line."
   @spec empty_svg() :: String.t()
   def empty_svg do
     ~s(<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 #{@width} #{@height}">) <>
@@ -51,7 +51,7 @@ defmodule Situ.Studio.Thumbnail do
 
   defp small(_), do: :error
 
-  # A picture that is stored as a file goes as it is: browsers make it small themselves.
+  # A stored JPEG or PNG is sent unchanged, because browsers scale it themselves.
   defp encoded(source, stream, middle) do
     with {:ok, message} <- Source.nearest(source, stream.name, middle),
          {:ok, {format, _, _, data, _}} when format in [:jpeg, :png] <-
@@ -83,14 +83,14 @@ defmodule Situ.Studio.Thumbnail do
     if lows == [] or highs == [], do: nil, else: {Enum.min(lows), Enum.max(highs)}
   end
 
-  # Draws a stroke from the least to the greatest value of each row, and joins neighbouring rows except across holes.
+  # Draws a stroke from the minimum to the maximum of each row, and joins adjacent rows except across gaps.
   defp svg(points, {low, high}, from, to) do
     x = fn t -> @width * (t - from) / max(to - from, 1) end
-    # The difference of the greatest floats overflows; that of their quarters does not.
+    # Quarters avoid an overflow in the difference of very large floats.
     y = fn v -> 4 + (@height - 8) * (1 - (v / 4 - low / 4) / max(high / 4 - low / 4, 1.0e-12)) end
     points = Enum.filter(points, fn {t, a, _, _, _} -> is_number(a) and t >= from and t <= to end)
 
-    # A single value is drawn as a level line.
+    # A single value is drawn as a horizontal line.
     points =
       if match?([_], points), do: [hd(points), put_elem(hd(points), 0, to + 1)], else: points
 

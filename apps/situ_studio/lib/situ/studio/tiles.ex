@@ -1,15 +1,14 @@
 defmodule Situ.Studio.Tiles do
   @moduledoc """
-  Where the pictures below maps come from: nowhere, unless the user names an address or a folder. A page fetches
-  pictures from that one origin only (its content security policy says so), and tells it no more than the tiles'
-  numbers.
+  The source of map tiles. There is none unless the user names an address or a folder. The page's content security
+  policy allows tiles only from that origin, and requests contain nothing but tile numbers.
 
       iex> {:ok, tiles} = Situ.Studio.Tiles.new("https://tile.example.org/{z}/{x}/{y}.png", "Example's maps")
       iex> {Situ.Studio.Tiles.origins(tiles), tiles.credit}
       {["https://tile.example.org"], "Example's maps"}
       iex> {:error, error} = Situ.Studio.Tiles.new("https://tile.example.org/", nil)
       iex> error.what
-      "an address of map tiles needs {z}, {x} and {y}, not \\"https://tile.example.org/\\""
+      "a map tile address must contain {z}, {x} and {y}: \\"https://tile.example.org/\\""
   """
   alias Situ.Error
 
@@ -23,7 +22,7 @@ defmodule Situ.Studio.Tiles do
           folder: Path.t() | nil
         }
 
-  @doc "The tiles at an address, or in a folder of `{z}/{x}/{y}.png`. Errors: `:bad_tiles`."
+  @doc "Builds the tile source for an address or a folder of `{z}/{x}/{y}.png`. Errors: `:bad_tiles`."
   @spec new(String.t() | nil, String.t() | nil) :: {:ok, t() | nil} | {:error, Error.t()}
   def new(nil, _credit), do: {:ok, nil}
 
@@ -38,11 +37,11 @@ defmodule Situ.Studio.Tiles do
         {:ok, %__MODULE__{url: "/tiles/{z}/{x}/{y}.png", credit: credit, folder: text}}
 
       true ->
-        bad("map tiles come from a folder or an address, not #{inspect(text)}")
+        bad("map tiles must be an existing folder or an http(s) address, not #{inspect(text)}")
     end
   end
 
-  # The host is written into a header.
+  # The host is written into a header, so it must not contain special characters.
   defp plain?(host), do: is_binary(host) and host =~ ~r/\A[A-Za-z0-9.-]+\z/
 
   defp address(text, uri, credit) do
@@ -50,19 +49,19 @@ defmodule Situ.Studio.Tiles do
       port = if uri.port in [80, 443, nil], do: "", else: ":#{uri.port}"
       {:ok, %__MODULE__{url: text, credit: credit, origin: "#{uri.scheme}://#{uri.host}#{port}"}}
     else
-      bad("an address of map tiles needs {z}, {x} and {y}, not #{inspect(text)}")
+      bad("a map tile address must contain {z}, {x} and {y}: #{inspect(text)}")
     end
   end
 
   defp bad(what),
-    do: {:error, Error.new(:bad_tiles, what, fix: "write it like https://.../{z}/{x}/{y}.png")}
+    do: {:error, Error.new(:bad_tiles, what, fix: "use the form https://.../{z}/{x}/{y}.png")}
 
-  @doc "The origins that pictures may come from."
+  @doc "Returns the origins that tiles may be loaded from."
   @spec origins(t() | nil) :: [String.t()]
   def origins(%__MODULE__{origin: origin}) when origin != nil, do: [origin]
   def origins(_), do: []
 
-  @doc "The route of a folder of tiles."
+  @doc "Returns the route that serves a folder of tiles, if any."
   @spec routes(t() | nil) :: [tuple()]
   def routes(%__MODULE__{folder: folder}) when folder != nil, do: [{:static, "/tiles", folder}]
   def routes(_), do: []

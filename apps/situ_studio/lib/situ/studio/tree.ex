@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Tree do
   @moduledoc """
-  Stream names as a tree: `Camera.Left.Image` is `Image` under `Left` under `Camera`. A name may be both a stream and a
-  group. Pure.
+  Arranges stream names as a tree: `Camera.Left.Image` is `Image` under `Left` under `Camera`. A name may be both a
+  stream and a group. Pure.
 
       iex> tree = Situ.Studio.Tree.build(["A.x", "A.y", "B"], & &1)
       iex> for row <- Situ.Studio.Tree.rows(tree, MapSet.new()), do: {row.depth, row.label, row.item}
@@ -12,7 +12,8 @@ defmodule Situ.Studio.Tree do
 
   defmodule Row do
     @moduledoc """
-    One line of the tree. `item` is `nil` for a mere group; `open?` is `nil` for a leaf; `under` are the items below it.
+    A row of the tree. `item` is `nil` for a group without a stream; `open?` is `nil` for a leaf; `under` contains the
+    items below it.
     """
     @enforce_keys [:path, :label, :depth]
     defstruct [:path, :label, :depth, :item, :open?, under: []]
@@ -29,7 +30,7 @@ defmodule Situ.Studio.Tree do
 
   @type t :: %{optional(String.t()) => {item :: term(), t()}}
 
-  @doc "The tree of `items`; `name` gives an item's dotted name."
+  @doc "Builds the tree of `items`; `name` returns an item's dotted name."
   @spec build([item], (item -> String.t())) :: t() when item: term()
   def build(items, name) do
     Enum.reduce(items, %{}, fn item, tree -> put(tree, segments(name.(item)), item) end)
@@ -44,8 +45,8 @@ defmodule Situ.Studio.Tree do
     Map.put(tree, first, {own, put(children, rest, item)})
   end
 
-  # "a..b" and ".a" have empty parts: such names stay whole, so that nothing is hidden.
-  # Points of an expression are not those of a name.
+  # Names with empty segments, such as "a..b" and ".a", are not split, so that nothing is hidden.
+  # Dots in an expression are not separators.
   defp segments("= " <> _ = name), do: [name]
 
   defp segments(name) do
@@ -53,7 +54,7 @@ defmodule Situ.Studio.Tree do
     if "" in parts, do: [name], else: parts
   end
 
-  @doc "The visible lines in order; the paths in `closed` hide what is under them."
+  @doc "Returns the visible rows in order; the paths in `closed` hide everything below them."
   @spec rows(t(), MapSet.t(String.t())) :: [Row.t()]
   def rows(tree, closed), do: tree |> rows("", 0, closed) |> List.flatten()
 
@@ -81,7 +82,7 @@ defmodule Situ.Studio.Tree do
   end
 
   @doc """
-  The items in whose text every word of `query` occurs, upper or lower case.
+  Returns the items whose text contains every word of `query`, ignoring case.
 
       iex> Situ.Studio.Tree.search(["Camera.Image", "Mic.Audio"], "ima cam", & &1)
       ["Camera.Image"]

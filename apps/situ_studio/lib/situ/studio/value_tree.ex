@@ -1,9 +1,10 @@
 defmodule Situ.Studio.ValueTree do
   @moduledoc """
-  Any term as a tree a page can show: nodes `[kind, text, children | nil]`, children `[key, node, path]`.
+  Converts any term to a tree that a page can show: nodes `[kind, text, children | nil]`, children `[key, node,
+  path]`.
 
-  Bounded: deep, long or large values are cut, with a mark. Texts are plain; the page must not read them as
-  HTML.
+  The tree is bounded: deep, long or large values are truncated and marked. Texts are plain and must not be
+  interpreted as HTML.
 
       iex> Situ.Studio.ValueTree.of(%{x: 1.5, on: true})
       ["map", "2 keys", [["on", ["boolean", "true", nil], ".on"], ["x", ["number", "1.5", nil], ".x"]]]
@@ -16,7 +17,7 @@ defmodule Situ.Studio.ValueTree do
   @max_children 100
   @max_text 400
 
-  @doc "The tree of `term`."
+  @doc "Builds the tree of `term`."
   @spec of(term()) :: tree()
   def of(term), do: node(term, "", 0)
 
@@ -63,7 +64,7 @@ defmodule Situ.Studio.ValueTree do
 
     children =
       for {key, value} <- shown do
-        # without a way to name it, a part can be seen but not plotted
+        # A child whose key cannot be written in a path can be shown but not plotted.
         child = path && Path.child(path, key)
         [key(key), node(value, child, depth + 1), child]
       end
@@ -85,7 +86,7 @@ defmodule Situ.Studio.ValueTree do
     Base.encode16(head, case: :lower) <> if(byte_size(bytes) > 12, do: "...", else: "")
   end
 
-  # Fields people look for first.
+  # Shows the most commonly needed fields first.
   defp order(key),
     do: {Enum.find_index([:x, :y, :width, :height, :label], &(&1 == key)) || 9, key}
 

@@ -1,11 +1,12 @@
 defmodule Situ.Studio.Visualizer do
   @moduledoc """
-  One way to draw a stream: the shapes it takes, its options, and how it reads and encodes what the page draws.
+  Defines a way to draw a stream: the shapes it accepts, its options, and how it reads and encodes the data to draw.
 
-  A visualizer over time (`panel: :plot` or `:lanes`) has `window/6` and reads an interval from the source; one at the
-  cursor (`:image`, `:value`, `:bars`, `:text`) has `instant/3` and encodes one message. Its other half is the module of
-  the same name under `assets/js/visualizers`, which draws the frame, tells what lies under the mouse and writes the
-  legend. A visualizer of your own that one of the page's drawers can draw names it in `drawer:`:
+  A visualizer with a time axis (`panel: :plot` or `:lanes`) implements `window/6` and reads an interval from the
+  source. A visualizer at the cursor (`:image`, `:value`, `:bars`, `:text`) implements `instant/3` and encodes one
+  message. Its counterpart is the module of the same name in `assets/js/visualizers`, which draws the frame, reports
+  the value under the mouse and writes the legend. A custom visualizer can reuse one of the page's drawers with
+  `drawer:`:
 
       defmodule Celsius do
         @behaviour Situ.Studio.Visualizer
@@ -33,14 +34,14 @@ defmodule Situ.Studio.Visualizer do
               [plugin: nil, script: nil, adapter: nil, data: :message, asks: [], problem: nil]
 
   @typedoc """
-  `shapes` is a list of stream shapes, or `:any`. `options` describes its properties: each has a `type` (`:boolean`,
-  `:color`, `:text`, `{:in, [text | {text, title}]}` or `{:range, min, max}`), a `title`, perhaps a `default`, and
-  `only: {key, value}` where it means something only while another has that value.
+  `shapes` is a list of stream shapes, or `:any`. `options` describes the visualizer's properties. Each has a `type`
+  (`:boolean`, `:color`, `:text`, `{:in, [text | {text, title}]}` or `{:range, min, max}`), a `title`, optionally a
+  `default`, and optionally `only: {key, value}` if it applies only while another property has that value.
 
-  The rest is for what others add (`Situ.Studio.Plugins`): the `plugin` it came with, the address of the `script` that
-  draws it in the page, the `adapter` that makes of each message what it takes, whether its script is told the
-  `:message` at the cursor or the `:past` before it, the properties that the page
-  `asks` with, and the `problem` of one that could not be loaded.
+  The other fields are for plug-ins (`Situ.Studio.Plugins`): the `plugin` that contains it, the address of the
+  `script` that draws it in the page, the `adapter` that converts each message, whether its script receives the
+  `:message` at the cursor or the `:past` before it, the properties that the page sends with its requests (`asks`),
+  and the `problem` of a visualizer that could not be loaded.
   """
   @type t :: %__MODULE__{
           id: String.t(),
@@ -61,7 +62,7 @@ defmodule Situ.Studio.Visualizer do
   @typedoc "A module with this behaviour, or a visualizer's description."
   @type given :: module() | t()
 
-  @typedoc "The stream to draw, the part of its messages, and the properties that the page gave."
+  @typedoc "The stream to draw, the part of its messages, and the properties from the page."
   @type spec :: %{
           required(:stream) => String.t(),
           required(:viz) => t() | nil,
@@ -70,8 +71,8 @@ defmodule Situ.Studio.Visualizer do
         }
 
   @typedoc """
-  Where a message came from, for which channel it is drawn, and which parts of earlier messages its page holds: names
-  with their bytes.
+  The source of a message, the channel it is drawn for, and the parts of earlier messages that the page has cached, by
+  name with their sizes.
   """
   @type context :: %{
           required(:source) => Source.t(),
@@ -79,10 +80,10 @@ defmodule Situ.Studio.Visualizer do
           optional(:kept) => %{binary() => pos_integer()}
         }
 
-  @doc "The visualizer's description. The table fills in `module`; `drawer` is its `id` unless it names another."
+  @doc "Returns the visualizer's description. `module` is filled in; `drawer` defaults to `id`."
   @callback about() :: t()
 
-  @doc "The frame of the window `from..to`, times in ns and inclusive, with bins of `bin` ns."
+  @doc "Returns the frame of the window `from..to`, times in ns and inclusive, with bins of `bin` ns."
   @callback window(
               Source.t(),
               Frame.channel(),
@@ -92,29 +93,29 @@ defmodule Situ.Studio.Visualizer do
               bin :: pos_integer()
             ) :: Frame.t() | {:error, Situ.Error.t()}
 
-  @doc "The frame of one message; `data` is the part of it that the channel's path names."
+  @doc "Returns the frame of one message; `data` is the part of it at the channel's path."
   @callback instant(Frame.channel(), data :: term(), Situ.Message.t()) ::
               Frame.t() | {:error, String.t()}
 
   @doc """
-  As `c:instant/3`, for what needs more than the message: the source, and the properties of the channel. `{:kept, frame,
-  kept}` also says what the page holds after that frame.
+  Like `c:instant/3`, for visualizers that also need the source or the properties of the channel. `{:kept, frame,
+  kept}` also returns the parts that the page caches after that frame.
   """
   @callback instant(Frame.channel(), data :: term(), Situ.Message.t(), context()) ::
               Frame.t() | {:kept, Frame.t(), map() | nil} | {:error, String.t()}
 
-  @typedoc "The value of a stream at a time: a frame, and a mark that is different for each message."
+  @typedoc "The value of a stream at a time: a frame, and a mark that differs for each message."
   @type value :: {:ok, mark :: term(), Frame.t()} | :none | {:error, Situ.Error.t()}
 
   @doc """
-  Returns the exact value that a visualizer over time has at the cursor: that of the latest message at or before it,
-  never that of a summary (`Situ.Studio.Draw.Values`).
+  Returns the exact value at the cursor for a visualizer with a time axis: the value of the latest message at or
+  before the cursor, never of a summary (`Situ.Studio.Draw.Values`).
   """
   @callback value_at(Source.t(), Frame.channel(), spec(), Situ.Time.t()) :: value()
 
   @optional_callbacks window: 6, instant: 3, instant: 4, value_at: 4
 
-  @doc "The description of a module, complete."
+  @doc "Returns the complete description of a visualizer, given a module or a description."
   @spec of(given()) :: t()
   def of(%__MODULE__{} = visualizer),
     do: %{visualizer | drawer: visualizer.drawer || visualizer.id}
@@ -125,7 +126,7 @@ defmodule Situ.Studio.Visualizer do
   end
 
   @doc """
-  The properties that mean something, given the values of all.
+  Returns the properties that apply, given the values of all properties.
 
       iex> {:ok, depth} = Situ.Studio.Visualizers.fetch("depth", :depth)
       iex> Keyword.has_key?(Situ.Studio.Visualizer.options(depth, %{}), :min)
@@ -144,7 +145,7 @@ defmodule Situ.Studio.Visualizer do
   end
 
   @doc """
-  The value of every property: as a page gave it (from JSON: anything), or the default where that is none.
+  Returns the value of every property: the page's value (untrusted JSON) if it is valid, otherwise the default.
 
       iex> {:ok, trail} = Situ.Studio.Visualizers.named("trail", [])
       iex> settings = Situ.Studio.Visualizer.settings(trail, %{"seconds" => 2, "opacity" => "much"})
@@ -164,7 +165,7 @@ defmodule Situ.Studio.Visualizer do
   defp fits?({:in, values}, value), do: List.keymember?(choices(values), value, 0)
   defp fits?(_text, value), do: is_binary(value)
 
-  @doc "The values of a choice, with what people read."
+  @doc "Returns the values of a choice with their titles."
   @spec choices([String.t() | {String.t(), String.t()}]) :: [{String.t(), String.t()}]
   def choices(values) do
     Enum.map(values, fn
@@ -174,7 +175,7 @@ defmodule Situ.Studio.Visualizer do
   end
 
   @doc """
-  Checks one property as a form sends it.
+  Validates and converts the value of one property from a form.
 
       iex> {:ok, line} = Situ.Studio.Visualizers.fetch("line", :signal)
       iex> Situ.Studio.Visualizer.cast(line, "width", "2.5")

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers do
   @moduledoc """
-  The visualizers, and which fit a stream; the first that fits is the one "add" takes. Others are added by handing their
-  modules to `Situ.Studio` as `visualizers: [MyModule]`, see `Situ.Studio.Visualizer`.
+  Lists the visualizers and selects the visualizers that accept a stream; the first is the default. To add visualizers,
+  pass their modules to `Situ.Studio` as `visualizers: [MyModule]`, see `Situ.Studio.Visualizer`.
 
       iex> for v <- Situ.Studio.Visualizers.for_shape(:boolean), do: v.id
       ["states", "line", "value", "log", "messages", "latency"]
@@ -37,27 +37,27 @@ defmodule Situ.Studio.Visualizers do
              [Space, Trail, Frames, GeoMap, XY, Spectrogram, Text, Value, Log] ++
              [Messages, Latency]
 
-  @doc "All of them; those of `extra` modules first."
+  @doc "Returns all visualizers; the `extra` modules come first."
   @spec all([Visualizer.given()]) :: [Visualizer.t()]
   def all(extra \\ []), do: Enum.map(extra ++ @modules, &Visualizer.of/1)
 
-  @doc "The visualizers for a stream of this shape, the usual one first."
+  @doc "Returns the visualizers for a stream of this shape, the default first."
   @spec for_shape(StreamInfo.shape(), [Visualizer.given()]) :: [Visualizer.t()]
   def for_shape(shape, extra \\ []),
     do: Enum.filter(all(extra), &(&1.shapes == :any or shape in &1.shapes))
 
-  @doc "The visualizer `id` for this shape."
+  @doc "Returns the visualizer `id` if it accepts this shape."
   @spec fetch(String.t(), StreamInfo.shape(), [Visualizer.given()]) ::
           {:ok, Visualizer.t()} | :error
   def fetch(id, shape, extra \\ []), do: shape |> for_shape(extra) |> find(id)
 
-  @doc "The visualizer of something in a layout; of a part of a message, any may be wanted."
+  @doc "Returns the visualizer of a layout entry; a part of a message (a path) may use any visualizer."
   @spec of(String.t(), String.t(), StreamInfo.shape(), [Visualizer.given()]) ::
           {:ok, Visualizer.t()} | :error
   def of(id, "", shape, extra), do: fetch(id, shape, extra)
   def of(id, _path, _shape, extra), do: find(all(extra), id)
 
-  @doc "The visualizer `id` among the built-in and the `extra` ones."
+  @doc "Returns the built-in or `extra` visualizer `id`."
   @spec named(String.t(), [Visualizer.given()]) :: {:ok, Visualizer.t()} | :error
   def named(id, extra), do: find(all(extra), id)
 

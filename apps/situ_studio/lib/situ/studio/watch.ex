@@ -1,14 +1,14 @@
 defmodule Situ.Studio.Watch do
   @moduledoc """
-  Looks into one running pipeline: taps a stream when a page first asks for it, keeps its recent past in a
-  `Situ.Studio.History`, and removes the tap when no page has asked for a while.
+  Watches one running pipeline: taps a stream when a page first requests it, stores its recent messages in a
+  `Situ.Studio.History`, and removes the tap when no page has requested the stream for a while.
 
-  Each tap runs behind a lossy queue in a process of its own (`Situ.Pipeline.Tap`); pages read the history. So however
-  slow or many the pages are, the pipeline only ever hands over messages.
+  Each tap has a lossy queue in a separate process (`Situ.Pipeline.Tap`), and pages read only the history. However
+  slow or numerous the pages are, the pipeline only hands over messages.
 
-  A target that is a function is asked again whenever its pipeline has ended or is another one: a supervisor may have
-  restarted it, a part of a cluster goes on on another node. Its streams are tapped there as soon as a page asks for
-  them; nothing is known of the time between (`Situ.Studio.Hole`).
+  A target function is called again when its pipeline has ended or was replaced, for example by a supervisor restart
+  or a failover to another cluster node. Streams of the new pipeline are tapped when a page requests them; the time in
+  between is a gap (`Situ.Studio.Hole`).
   """
   use GenServer, restart: :temporary
 
@@ -25,9 +25,9 @@ defmodule Situ.Studio.Watch do
   @idle_ms 10_000
   @look_ms 500
   @seconds 300
-  # A node of a cluster may stand still: its answer is waited for so long.
+  # A cluster node may be suspended; calls to it time out after this time.
   @answer_ms 2_000
-  # One that is started again, here or on another node, is not over yet.
+  # A pipeline that is missing for less than this time may still be restarted here or on another node.
   @return_ms 6_000
 
   @doc "Starts watching `target`: a pipeline's pid or name, or a function that finds it."
@@ -35,11 +35,11 @@ defmodule Situ.Studio.Watch do
           GenServer.on_start()
   def start_link(target), do: GenServer.start_link(__MODULE__, target)
 
-  @doc "The handle for readers."
+  @doc "Returns the handle for readers."
   @spec handle(pid()) :: t()
   def handle(pid), do: GenServer.call(pid, :handle)
 
-  @doc "Notes that a page wants this stream, and taps it when it is not tapped yet."
+  @doc "Records that a page needs this stream, and taps it if it is not tapped yet."
   @spec want(t(), String.t()) :: :ok | {:error, Error.t()}
   def want(%__MODULE__{uses: uses} = watch, stream) do
     if :ets.update_element(uses, stream, {2, now()}),
@@ -51,7 +51,7 @@ defmodule Situ.Studio.Watch do
     :exit, _ -> gone()
   end
 
-  @doc "Outputs that have a name: `{stream, type as text}`; and whether the pipeline still runs."
+  @doc "Returns the named outputs as `{stream, type as text}`, and whether the pipeline is still running."
   @spec streams(t()) ::
           {:ok, [{String.t(), String.t()}], running? :: boolean()} | {:error, Error.t()}
   def streams(%__MODULE__{uses: uses, pid: pid}) do
@@ -70,7 +70,7 @@ defmodule Situ.Studio.Watch do
     :exit, _ -> gone()
   end
 
-  @doc "The pipeline's graph and numbers now."
+  @doc "Returns the pipeline's current graph and statistics."
   @spec snapshot(t()) :: {:ok, Situ.Diagnostics.Snapshot.t()} | {:error, Error.t()}
   def snapshot(%__MODULE__{pid: pid}) do
     GenServer.call(pid, :snapshot)
@@ -78,7 +78,7 @@ defmodule Situ.Studio.Watch do
     :exit, _ -> gone()
   end
 
-  @doc "Where the message of one originating time is in the pipeline (`Situ.trace/2`)."
+  @doc "Returns the path through the pipeline of the message with an originating time (`Situ.trace/2`)."
   @spec trace(t(), Situ.Time.t()) :: {:ok, Situ.Diagnostics.Trace.t()} | {:error, Error.t()}
   def trace(%__MODULE__{pid: pid}, time) do
     GenServer.call(pid, {:trace, time})
@@ -86,7 +86,7 @@ defmodule Situ.Studio.Watch do
     :exit, _ -> gone()
   end
 
-  @doc "The pipeline's clock; the wall clock once it has ended."
+  @doc "Returns the time of the pipeline's clock, or the wall-clock time if the pipeline has ended."
   @spec now(t()) :: Situ.Time.t()
   def now(%__MODULE__{pid: pid}) do
     GenServer.call(pid, :now)
@@ -113,7 +113,7 @@ defmodule Situ.Studio.Watch do
   def handle_call({:tap, stream}, _from, state) when is_map_key(state.taps, stream),
     do: {:reply, :ok, state}
 
-  # Pages ask many times a second for what is not there at the moment.
+  # Pages repeat a request many times a second, so a failed target is retried only after a delay.
   def handle_call({:tap, stream}, _from, state) do
     if now() < state.away do
       {:reply, {:error, ended()}, state}
@@ -169,7 +169,7 @@ defmodule Situ.Studio.Watch do
     {:noreply, let_go(state, idle)}
   end
 
-  # The one in its place is tapped again when a page asks for it.
+  # The replacement pipeline is tapped when a page requests the stream again.
   def handle_info({:DOWN, _, :process, pipeline, _}, state),
     do: {:noreply, let_go(state, tapped(state, &(&1 == pipeline)))}
 
@@ -177,8 +177,8 @@ defmodule Situ.Studio.Watch do
 
   defp now, do: System.monotonic_time(:millisecond)
 
-  # The streams now. Taps on a pipeline that is no longer the target's are let go: its node stands still, perhaps, and
-  # the part runs elsewhere.
+  # Returns the current streams. Removes taps on a pipeline that was replaced: its node may be suspended while the
+  # part is running on another node.
   defp look(%{target: target} = state) do
     case target(target) do
       pid when is_function(target, 0) and is_pid(pid) ->
@@ -198,7 +198,7 @@ defmodule Situ.Studio.Watch do
 
     case attach(state.target, stream, keep) do
       {:ok, tap} ->
-        # of the time since it was tapped before nothing is known
+        # The time since the stream was last tapped is unknown.
         History.interrupt(history, stream, last)
         :ets.insert(state.uses, {stream, now()})
         {:ok, put_in(state.taps[stream], {tap, Process.monitor(tap.pipeline)})}
@@ -226,14 +226,14 @@ defmodule Situ.Studio.Watch do
     %{state | taps: taps}
   end
 
-  # A pipeline may end at any moment: then there is nothing to tap or to detach.
+  # A pipeline may end at any time, so attaching and detaching may exit.
   defp attach(target, stream, keep) do
     Situ.attach_tap({target(target), stream}, keep, name: "Studio: " <> stream)
   catch
     :exit, _ -> {:error, ended()}
   end
 
-  # Nobody waits for another node.
+  # A remote tap is detached in a task, so that the watcher never waits for another node.
   defp detach(%{pipeline: pid} = tap) when node(pid) != node(),
     do: Task.start(fn -> take_away(tap) end)
 
@@ -284,7 +284,7 @@ defmodule Situ.Studio.Watch do
 
   defp ask(target, function, args), do: apply(Situ.Pipeline, function, [target | args])
 
-  # Whoever is asked where it is may be gone, too.
+  # The process that the function calls may also have exited.
   @doc false
   def target(fun) when is_function(fun, 0) do
     fun.()

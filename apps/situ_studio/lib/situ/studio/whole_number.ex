@@ -1,7 +1,7 @@
 defmodule Situ.Studio.WholeNumber do
   @moduledoc """
-  Whole numbers of 64 bits as the page sends them: nanoseconds do not fit into JavaScript's numbers, so they come as
-  text.
+  Parses 64-bit integers from the page. Nanoseconds exceed the exact range of JavaScript numbers, so the page sends
+  them as strings.
 
       iex> Situ.Studio.WholeNumber.parse("-1700000000000000001")
       {:ok, -1_700_000_000_000_000_001}
@@ -9,7 +9,7 @@ defmodule Situ.Studio.WholeNumber do
       [:error, :error, :error, :error, :error]
   """
 
-  @doc "The number, or `:error` for anything else."
+  @doc "Returns the integer, or `:error` for any other input."
   @spec parse(term()) :: {:ok, integer()} | :error
   def parse(text) when is_binary(text) and byte_size(text) <= 20 do
     case Integer.parse(text) do

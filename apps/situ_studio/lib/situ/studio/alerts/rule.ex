@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Alerts.Rule do
   @moduledoc """
-  A rule of an alert: a name and an expression (`Situ.Expression`) over a running pipeline's streams and statistics.
-  A stream's name means its latest value; `` `STATISTIC(PATH)` `` is a statistic of a component, or the worst of the
-  connections that lead into it, by the names of `Situ.Studio.PipelineView.Stats`.
+  A rule of an alert: a name and an expression (`Situ.Expression`) over a running pipeline's streams and statistics. A
+  stream's name refers to its latest value. `` `STATISTIC(PATH)` `` is a statistic of a component, or the worst value
+  among its incoming connections. `Situ.Studio.PipelineView.Stats` lists the names.
 
       iex> {:ok, [rule]} = Situ.Studio.Alerts.Rule.read("slow: `latency_mean(Screen)` > 200 or `Mic.Level` > 0.9")
       iex> {rule.name, Situ.Studio.Alerts.Rule.streams(rule)}
@@ -11,7 +11,7 @@ defmodule Situ.Studio.Alerts.Rule do
       true
       iex> {:error, error} = Situ.Studio.Alerts.Rule.read("slow: `queue(Screen)` >")
       iex> error.what
-      "line 1 is no rule of an alert"
+      "line 1 is not an alert rule"
   """
   alias Situ.{Error, Expression}
   alias Situ.Studio.PipelineView.Stats
@@ -24,7 +24,7 @@ defmodule Situ.Studio.Alerts.Rule do
   @most 50
   @bytes 8_000
 
-  @doc "The rules of a text, one a line, `NAME: EXPRESSION`; empty lines say nothing. The error names the line."
+  @doc "Parses rules of the form `NAME: EXPRESSION`, one per line; empty lines are ignored. Errors name the line."
   @spec read(String.t()) :: {:ok, [t()]} | {:error, Error.t()}
   def read(text) when byte_size(text) > @bytes, do: {:error, too_many()}
 
@@ -39,9 +39,9 @@ defmodule Situ.Studio.Alerts.Rule do
   end
 
   defp too_many do
-    Error.new(:too_many, "these are more rules than the studio keeps",
-      why: "#{@most} rules in #{@bytes} bytes are the most",
-      fix: "take some out"
+    Error.new(:too_many, "there are too many alert rules",
+      why: "the limit is #{@most} rules in #{@bytes} bytes",
+      fix: "remove some rules"
     )
   end
 
@@ -58,20 +58,20 @@ defmodule Situ.Studio.Alerts.Rule do
       %__MODULE__{name: String.slice(name, 0, 60), expression: expression}
     else
       {:error, error} -> bad(n, "#{error.what}: #{error.why}")
-      [] -> bad(n, "it names no stream and no statistic")
-      _ -> bad(n, "a rule is a name, a colon and an expression")
+      [] -> bad(n, "it does not name a stream or a statistic")
+      _ -> bad(n, "a rule consists of a name, a colon and an expression")
     end
   end
 
   defp bad(n, why) do
     {:error,
-     Error.new(:bad_rule, "line #{n} is no rule of an alert",
+     Error.new(:bad_rule, "line #{n} is not an alert rule",
        why: why,
-       fix: "write it like this: busy: `queue(Slow.Heavy)` > 100"
+       fix: "follow this example: busy: `queue(Slow.Heavy)` > 100"
      )}
   end
 
-  @doc "The statistics it names: `{name, statistic, path}`."
+  @doc "Returns the statistics that the rule refers to, as `{name, statistic, path}`."
   @spec statistics(t()) :: [{String.t(), Stats.id(), String.t()}]
   def statistics(%__MODULE__{expression: expression}) do
     for name <- Expression.names(expression),
@@ -80,12 +80,12 @@ defmodule Situ.Studio.Alerts.Rule do
         do: {name, id, path}
   end
 
-  @doc "The streams it names."
+  @doc "Returns the names of the streams that the rule refers to."
   @spec streams(t()) :: [String.t()]
   def streams(%__MODULE__{expression: expression} = rule),
     do: Expression.names(expression) -- Enum.map(statistics(rule), &elem(&1, 0))
 
-  @doc "Whether it is so, given the values of the names; what is not known makes nothing true."
+  @doc "Returns whether the rule is true for the values in `env`; an unknown value never makes a rule true."
   @spec true?(t(), Expression.env()) :: boolean()
   def true?(%__MODULE__{expression: expression}, env),
     do: Expression.eval(expression, env) == true

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Annotating.Comparison do
   @moduledoc """
-  How far two layers of annotations agree, as the rows of a table (`Situ.Annotation.Agreement`).
+  Measures the agreement of two layers of annotations, as the rows of a table (`Situ.Annotation.Agreement`).
 
       iex> alias Situ.Annotation.{Layer, Schema}
       iex> schema = Schema.finite("S", ["speaks"])
@@ -12,11 +12,11 @@ defmodule Situ.Studio.Annotating.Comparison do
   """
   alias Situ.Annotation.{Agreement, Layer}
 
-  # Long recordings are compared in so many frames at most.
+  # Bounds the work for long recordings: a longer recording is compared with longer frames.
   @frames 1_000_000
   @finest 10_000_000
 
-  @doc "The measures of the comparison, in words, with their values."
+  @doc "Returns the measures of agreement as pairs of label and formatted value."
   @spec rows(Layer.t(), Layer.t()) ::
           {:ok, [{String.t(), String.t()}]} | {:error, Situ.Error.t()}
   def rows(a, b) do

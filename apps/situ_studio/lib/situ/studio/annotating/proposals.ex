@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Annotating.Proposals do
   @moduledoc """
-  Intervals in a stream that may become annotations: while booleans are true, while states and texts stay the same,
-  while numbers are at or above a threshold, and what messages say lasts from when to when. Read message by message from
-  the first to the last, however many there are.
+  Finds intervals in a stream that may become annotations: times during which a boolean is true, a state or text stays
+  the same, or a number is at or above a threshold, and intervals that the messages themselves contain. Messages are
+  read page by page, so the stream may be of any length.
 
       iex> alias Situ.Studio.Annotating.Proposals
       iex> messages = for {t, v} <- [{0, 0.1}, {1, 0.7}, {2, 0.9}, {3, 0.2}, {4, 0.6}], do: {t, v}
@@ -16,7 +16,7 @@ defmodule Situ.Studio.Annotating.Proposals do
 
   @page 50_000
   @most 20_000
-  # So many messages of the page before tell how often they come.
+  # This many messages of the previous page are kept to estimate the message rate.
   @carried 64
 
   @type t :: %{
@@ -29,11 +29,11 @@ defmodule Situ.Studio.Annotating.Proposals do
 
   @runs [:boolean, :state, :states, :text, :signal, :signals]
 
-  @doc "Whether there may be some in a stream of that shape."
+  @doc "Returns whether proposals can be derived from a stream of that shape."
   @spec offered?(atom()) :: boolean()
   def offered?(shape), do: shape in [:spans | @runs]
 
-  @doc "All of a stream. Errors: those of the source, `:no_segments`, `:too_many`."
+  @doc "Returns all proposals of a stream. Errors: errors of the source, `:no_segments`, `:too_many`."
   @spec of(Source.t(), String.t(), atom(), number()) :: {:ok, [t()]} | {:error, Error.t()}
   def of(source, stream, shape, threshold \\ 0.5) do
     with true <- offered?(shape) or {:error, none(stream)},
@@ -53,18 +53,18 @@ defmodule Situ.Studio.Annotating.Proposals do
 
   defp few(found) do
     {:error,
-     Error.new(:too_many, "#{length(found)} proposals are too many to look at",
-       fix: "take another threshold, or find fewer times by an expression (f)"
+     Error.new(:too_many, "#{length(found)} proposals are too many to review",
+       fix: "choose another threshold, or narrow the times with an expression (f)"
      )}
   end
 
   defp none(stream) do
     Error.new(:no_segments, "#{stream} has no segments to propose",
-      fix: "choose a stream of booleans, states, numbers, or intervals"
+      fix: "choose a stream of booleans, states, numbers or intervals"
     )
   end
 
-  # Messages page by page: a recording may have more than fit into memory.
+  # Messages are read page by page because a recording may not fit into memory.
   defp read(source, stream, from, to, state, step) do
     case Source.call(source, :messages, [stream, from, to, @page]) do
       {:ok, messages, :all} ->
@@ -82,7 +82,7 @@ defmodule Situ.Studio.Annotating.Proposals do
     end
   end
 
-  # Of a recogniser's drafts only the last word counts.
+  # A recognizer's drafts are superseded by its next result, so a draft is dropped unless it is the last message.
   defp spans(messages, found), do: Enum.reduce(messages, found, &[&1 | &2])
 
   defp settled([%{data: %{final?: false}} | [_ | _] = rest]), do: settled(rest)
@@ -112,14 +112,14 @@ defmodule Situ.Studio.Annotating.Proposals do
 
   defp new(threshold), do: %{open: %{}, done: [], recent: [], last: nil, threshold: threshold}
 
-  @doc "The runs in `{time, data}` rows in order; those that are open at the last one end there."
+  @doc "Returns the runs in ordered `{time, data}` rows; runs that are still open end at the last row."
   @spec runs([{Situ.Time.t(), term()}], atom(), number()) :: [t()]
   def runs(rows, shape, threshold) do
     messages = for {t, data} <- rows, do: %Situ.Message{data: data, originating_time: t}
     messages |> page(new(threshold), shape) |> ended(shape, nil)
   end
 
-  # Nothing lasts across a hole, where messages that should have come are missing.
+  # Gaps end every run, because the value is unknown while expected messages are missing.
   defp page(messages, state, shape) do
     times = Enum.map(messages, & &1.originating_time)
     holes = Rhythm.holes(for t <- state.recent ++ times, do: {t, 1})
@@ -166,13 +166,13 @@ defmodule Situ.Studio.Annotating.Proposals do
     }
   end
 
-  # A state holds to the end of the data; of a number nobody knows more than its last message.
+  # A state is valid until the end of the data, but a number only until its last message.
   defp ended(state, shape, to) do
     t = if shape in [:signal, :signals] or to == nil, do: state.last, else: to
     (Enum.map(state.open, &run(&1, t)) ++ state.done) |> Enum.sort_by(&{&1.lane, &1.from})
   end
 
-  # Which lanes are on: `{label, number}` by lane.
+  # Returns the active lanes as a map from lane to `{label, number}`.
   defp lanes(data, shape, threshold) when is_map(data) and not is_struct(data) do
     for {key, value} <- data, on = on(value, shape, threshold), into: %{}, do: {Key.text(key), on}
   end

@@ -1,11 +1,11 @@
 defmodule Situ.Studio.Annotating.Request do
   @moduledoc false
-  # The edits of annotations that a page asks for, as edits of a layer. The page may send anything.
+  # Applies the edits that a page requests to a layer. The input is untrusted.
   alias Situ.{Annotation, Error}
   alias Situ.Annotation.{Edit, Layer}
   alias Situ.Studio.WholeNumber
 
-  @doc "The edit called `name`, with what the page says of it."
+  @doc "Applies the edit `name` with its parameters to the layer."
   @spec change(String.t(), Layer.t(), map()) :: Layer.edited()
   def change("add", layer, %{"from" => from, "to" => to, "track" => track} = params) do
     with {:ok, from} <- time(from),
@@ -17,7 +17,7 @@ defmodule Situ.Studio.Annotating.Request do
     end
   end
 
-  # A key frame: the place of a box or a point at one moment; it replaces an earlier one there.
+  # A key frame is the position of a box or point at one time; it replaces an existing key frame at that time.
   def change("key_frame", layer, %{"at" => at, "track" => track} = params) do
     with {:ok, at} <- time(at), {:ok, track} <- name(track) do
       values = values(params["values"])
@@ -76,7 +76,7 @@ defmodule Situ.Studio.Annotating.Request do
 
   def change("accept_all", layer, params), do: Edit.accept_all(layer, least(params["least"]))
 
-  # Those without a confidence are as sure as can be: only all of them takes them, too.
+  # Proposals without a confidence count as certain, so only `all` rejects them.
   def change("reject_all", layer, %{"all" => true}), do: Edit.reject_all(layer, 2.0)
   def change("reject_all", layer, params), do: Edit.reject_all(layer, least(params["least"]))
 
@@ -86,7 +86,7 @@ defmodule Situ.Studio.Annotating.Request do
          do: Layer.change(layer, id, track: track)
   end
 
-  # The intervals of another track, of this layer or of another one that comes with it.
+  # The source track may be in this layer or in the layer in `params`.
   def change("copy_boundaries", layer, %{"of" => of, "track" => track} = params) do
     with {:ok, track} <- name(track) do
       source = params[:layer] || layer
@@ -126,5 +126,5 @@ defmodule Situ.Studio.Annotating.Request do
   defp least(x) when is_number(x) and x >= 0 and x <= 1, do: x / 1
   defp least(_), do: 0.0
 
-  defp bad, do: {:error, Error.new(:bad_request, "not an edit of annotations")}
+  defp bad, do: {:error, Error.new(:bad_request, "invalid annotation edit")}
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Annotating.SchemaForm do
   @moduledoc """
-  The schema of a stream of annotations as people edit it in the page: attributes, and the values of each with key and
-  colour. A value knows what it was called before, so that annotations follow when it is renamed.
+  The schema of a stream of annotations as users edit it in the page: attributes, and their values with keys and
+  colors. Attributes and values remember their original names, so that annotations follow renames.
 
       iex> alias Situ.Studio.Annotating.SchemaForm
       iex> {:ok, schema} = Situ.Annotation.Schema.parse(%{"name" => "S", "attributes" => [
@@ -26,10 +26,10 @@ defmodule Situ.Studio.Annotating.SchemaForm do
           was: String.t() | nil,
           values: [value()]
         }
-  @typedoc "An attribute's name before and after, with the values that are called otherwise now."
+  @typedoc "The old and new name of each attribute, with a map from old to new names of its values."
   @type renamed :: [{String.t(), String.t(), %{String.t() => String.t()}}]
 
-  @doc "A schema, to be edited."
+  @doc "Converts a schema to a draft that can be edited."
   @spec draft(Schema.t()) :: [attribute()]
   def draft(%Schema{attributes: attributes}) do
     for a <- attributes do
@@ -41,7 +41,7 @@ defmodule Situ.Studio.Annotating.SchemaForm do
     end
   end
 
-  @doc "The draft with the values of the page's fields."
+  @doc "Updates the draft with the values of the page's fields."
   @spec read([attribute()], map()) :: [attribute()]
   def read(draft, params) do
     for {attribute, i} <- Enum.with_index(draft) do
@@ -76,7 +76,7 @@ defmodule Situ.Studio.Annotating.SchemaForm do
 
   defp text(given, old), do: if(is_binary(given), do: String.slice(given, 0, 100), else: old)
 
-  @doc "One more attribute, or one more value of the attribute at `index`."
+  @doc "Adds an empty attribute, or an empty value to the attribute at `index`."
   @spec add([attribute()], :attribute | non_neg_integer()) :: [attribute()]
   def add(draft, :attribute) when length(draft) < @most,
     do: draft ++ [%{name: "", kind: "finite", was: nil, values: [none()]}]
@@ -90,7 +90,7 @@ defmodule Situ.Studio.Annotating.SchemaForm do
 
   defp none, do: %{value: "", key: "", fill: "", was: nil}
 
-  @doc "Without an attribute, or without one of its values."
+  @doc "Removes the attribute at `index`, or its value at `nth`."
   @spec remove([attribute()], non_neg_integer(), non_neg_integer() | nil) :: [attribute()]
   def remove(draft, index, nil), do: List.delete_at(draft, index)
 
@@ -100,7 +100,7 @@ defmodule Situ.Studio.Annotating.SchemaForm do
       else: draft
   end
 
-  @doc "The schema that it says, and what is called otherwise in it. Fields without a name are left out."
+  @doc "Builds the schema from a draft and lists the renames. Attributes and values without a name are left out."
   @spec schema(String.t(), [attribute()]) :: {:ok, Schema.t(), renamed()} | {:error, Error.t()}
   def schema(name, draft) do
     draft = Enum.reject(draft, &(String.trim(&1.name) == ""))

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Annotating.Schemas do
   @moduledoc """
-  Schemas kept for the next recording: a JSON file each (`priv/schema/annotation.schema.json`) in a folder beside the
-  layouts, which people may fill by hand, too.
+  Saves annotation schemas for reuse in other recordings. Each schema is a JSON file
+  (`priv/schema/annotation.schema.json`) in a folder next to the layouts; users may also add files by hand.
 
       iex> layouts = Path.join(System.tmp_dir!(), "situ-doc-schemas/layouts")
       iex> {:ok, schema} = Situ.Studio.Annotating.schema("Speech", "speaks 1")
@@ -18,22 +18,22 @@ defmodule Situ.Studio.Annotating.Schemas do
 
   @most 200
 
-  @doc "The names of the schemas that are kept; files that are none are passed over."
+  @doc "Returns the names of the saved schemas; files that do not contain a schema are skipped."
   @spec names(Path.t()) :: [String.t()]
   def names(layouts) do
     layouts |> all() |> Enum.map(fn {_, schema} -> schema.name end) |> Enum.uniq() |> Enum.sort()
   end
 
-  @doc "The schema of that name. Error: `:no_schema`."
+  @doc "Loads the schema with that name. Error: `:no_schema`."
   @spec load(Path.t(), String.t()) :: {:ok, Schema.t()} | {:error, Error.t()}
   def load(layouts, name) do
     case Enum.find(all(layouts), fn {_, schema} -> schema.name == name end) do
       {_, schema} -> {:ok, schema}
-      nil -> {:error, Error.new(:no_schema, "no schema called #{inspect(name)} is kept")}
+      nil -> {:error, Error.new(:no_schema, "there is no saved schema named #{inspect(name)}")}
     end
   end
 
-  @doc "Keeps a schema, in the place of one of its name."
+  @doc "Saves a schema, and replaces a saved schema with the same name."
   @spec keep(Path.t(), Schema.t()) :: :ok | {:error, Error.t()}
   def keep(layouts, %Schema{name: name} = schema) do
     path =
@@ -47,9 +47,9 @@ defmodule Situ.Studio.Annotating.Schemas do
   end
 
   defp failed(layouts, reason) do
-    Error.new(:not_saved, "the schema cannot be kept in #{folder(layouts)}",
+    Error.new(:not_saved, "the schema cannot be saved in #{folder(layouts)}",
       why: to_string(:file.format_error(reason)),
-      fix: "make the folder writable, or start the studio with another layouts:"
+      fix: "make the folder writable, or start the studio with a different layouts:"
     )
   end
 

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Annotating.Shelf do
   @moduledoc """
-  Where the annotations of a recording lie: each stream in a store of its own beside it, so that two people who annotate
-  it at the same time save independently of each other.
+  The files of a recording's annotations. Each stream has its own store next to the recording, so that two people who
+  annotate the recording at the same time can save independently.
 
       iex> Situ.Studio.Annotating.Shelf.store("/study/lobby.0000", "Speech.Ada")
       "/study/lobby.0000-annotation-Speech%2EAda"
@@ -9,17 +9,17 @@ defmodule Situ.Studio.Annotating.Shelf do
   alias Situ.Annotation.Recording
   alias Situ.Store
 
-  @doc "The store of one stream of annotations, without its version."
+  @doc "Returns the path of the store of one stream of annotations, without its version."
   @spec store(Path.t(), String.t()) :: Path.t()
   def store(recording, stream), do: prefix(recording) <> safe(stream)
 
   defp prefix(recording), do: recording <> "-annotation-"
 
-  # A dot would end in what looks like a version.
+  # A dot would be mistaken for the start of a version suffix.
   defp safe(stream),
     do: stream |> URI.encode(&URI.char_unreserved?/1) |> String.replace(".", "%2E")
 
-  @doc "The streams of annotations that there are of a recording."
+  @doc "Returns the names of the annotation streams of a recording."
   @spec streams(Path.t()) :: [String.t()]
   def streams(recording) do
     start = Path.basename(prefix(recording))

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Batch.Configurations do
   @moduledoc """
-  Saved options of batch tasks, by name: a JSON file each, in a folder for each task.
+  Saves the options of batch tasks by name, as JSON files in one folder per task.
 
       iex> folder = Path.join(System.tmp_dir!(), "situ-doc-configurations")
       iex> Situ.Studio.Batch.Configurations.save(folder, "loudness", "Room 1", %{"stream" => "Mic"})
@@ -13,7 +13,7 @@ defmodule Situ.Studio.Batch.Configurations do
   """
   alias Situ.Error
 
-  @doc "All of a task, by name; what cannot be read is left out."
+  @doc "Lists the saved configurations of a task, sorted by name. Unreadable files are skipped."
   @spec all(Path.t(), String.t()) :: [{String.t(), map()}]
   def all(folder, task) do
     for path <- folder |> place(task) |> Path.join("*.json") |> Path.wildcard() |> Enum.sort(),
@@ -22,7 +22,7 @@ defmodule Situ.Studio.Batch.Configurations do
         do: {path |> Path.basename(".json") |> URI.decode(), config}
   end
 
-  @doc "Saves one, in the place of one of its name."
+  @doc "Saves a configuration and replaces any other with the same name."
   @spec save(Path.t(), String.t(), String.t(), map()) :: :ok | {:error, Error.t()}
   def save(folder, task, name, config) do
     with path = file(folder, task, name),
@@ -38,7 +38,7 @@ defmodule Situ.Studio.Batch.Configurations do
     end
   end
 
-  @doc "Deletes one."
+  @doc "Deletes a configuration."
   @spec delete(Path.t(), String.t(), String.t()) :: :ok
   def delete(folder, task, name) do
     _ = File.rm(file(folder, task, name))

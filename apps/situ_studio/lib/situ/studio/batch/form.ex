@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Batch.Form do
   @moduledoc """
-  A form for a task's options, out of their schema, and the options out of what a page sends.
+  Builds a form from a task's option schema, and parses the options that a page submits.
 
       iex> stream = [type: :string, default: "Audio", doc: "The sound."]
       iex> schema = [stream: stream, exact: [type: :boolean, default: false]]
@@ -23,7 +23,7 @@ defmodule Situ.Studio.Batch.Form do
           required: boolean()
         }
 
-  @doc "The fields, with the values of a configuration or their defaults; hidden options have none."
+  @doc "Builds the form fields with the values of a configuration or their defaults. Hidden options have no field."
   @spec fields(Options.schema(), map()) :: [field()]
   def fields(schema, config) do
     for {key, spec} <- schema, spec[:doc] != false do
@@ -65,7 +65,7 @@ defmodule Situ.Studio.Batch.Form do
 
   defp shown(value), do: value
 
-  @doc "The fields of a page as a configuration for `Situ.Dataset.Task.options/2`. Empty fields are left out."
+  @doc "Parses submitted fields into a configuration for `Situ.Dataset.Task.options/2`. Empty fields are left out."
   @spec config(Options.schema(), map()) :: {:ok, map()} | {:error, Error.t()}
   def config(schema, params) do
     Enum.reduce_while(schema, {:ok, %{}}, fn {key, spec}, {:ok, config} ->
@@ -79,10 +79,10 @@ defmodule Situ.Studio.Batch.Form do
     end)
   end
 
-  # A box that is not ticked sends nothing.
+  # Browsers send nothing for an unchecked box.
   defp read(:boolean, value), do: {:ok, value in ["true", "on"]}
   defp read(_type, value) when value in [nil, ""], do: :absent
-  defp read(_type, value) when not is_binary(value), do: {:error, "a text"}
+  defp read(_type, value) when not is_binary(value), do: {:error, "a string"}
 
   defp read(type, text)
        when type in [:integer, :pos_integer, :non_neg_integer] or elem(type, 0) == :integer do

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Batch.Left do
   @moduledoc """
-  Batch runs that ended with the studio that ran them: a file beside the dataset says of each how it was begun, until
-  it is over. A page offers to go on with them.
+  Keeps track of batch runs that were interrupted because their studio stopped. A file next to the dataset records how
+  each run was started, until the run has finished. A page offers to resume interrupted runs.
 
       iex> file = Path.join(System.tmp_dir!(), "situ-doc-left.json")
       iex> Situ.Studio.Batch.Left.note(file, %{task: "faces", output: "Faces", sessions: ["p1"], config: %{}})
@@ -23,7 +23,7 @@ defmodule Situ.Studio.Batch.Left do
           parallel: pos_integer()
         }
 
-  @doc "Notes that a run begins. A folder that takes no file takes no note either; the run goes on without it."
+  @doc "Records the start of a run. If the file cannot be written, the run continues without a record."
   @spec note(Path.t(), map()) :: :ok
   def note(file, run) do
     text = run |> Map.put(:pid, System.pid()) |> Situ.JSON.encode()
@@ -31,14 +31,14 @@ defmodule Situ.Studio.Batch.Left do
     :ok
   end
 
-  @doc "It is over, or nobody wants the rest."
+  @doc "Deletes the record of a run that has finished or was dismissed."
   @spec forget(Path.t(), String.t() | nil) :: :ok
   def forget(file, output) do
     _ = File.rm(path(file, output))
     :ok
   end
 
-  @doc "Those whose studio is gone."
+  @doc "Lists the runs whose studio is no longer running."
   @spec all(Path.t()) :: [t()]
   def all(file) do
     start = Path.basename(file) <> "."
@@ -62,7 +62,7 @@ defmodule Situ.Studio.Batch.Left do
     end
   end
 
-  # Of this studio itself it would still be running, and say so.
+  # A run of this studio is still active and is listed as such.
   defp gone?(pid), do: pid != System.pid() and not File.exists?("/proc/" <> pid)
 
   defp path(file, output) do

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Batch.Run do
   @moduledoc """
-  One run of a batch task over sessions of a dataset: how far it is and how it went.
+  Holds the progress and the result of one run of a batch task over sessions of a dataset.
 
       iex> run = %Situ.Studio.Batch.Run{id: 1, file: "study.json", task: "statistics", began: 0}
       iex> run = Situ.Studio.Batch.Run.progress(run, %{done: 0.25})
@@ -17,14 +17,14 @@ defmodule Situ.Studio.Batch.Run do
 
   @type t :: %__MODULE__{}
 
-  # Before so much is done, a guess at the rest is worth nothing.
+  # Below this share, an estimate of the remaining time is meaningless.
   @guess 0.02
 
-  @doc "With newer progress, as `Situ.Dataset.derive/3` tells it."
+  @doc "Updates the progress, as reported by `Situ.Dataset.derive/3`."
   @spec progress(t(), map()) :: t()
   def progress(%__MODULE__{} = run, progress), do: %{run | progress: progress}
 
-  @doc "Over: with a report, or the error that it ended with."
+  @doc "Finishes the run with a report or the error that ended it."
   @spec finish(t(), {:ok, term(), Report.t()} | {:error, Situ.Error.t()}, integer()) :: t()
   def finish(%__MODULE__{} = run, {:ok, _, %Report{} = report}, now) do
     status =
@@ -40,11 +40,11 @@ defmodule Situ.Studio.Batch.Run do
   def finish(%__MODULE__{} = run, {:error, error}, now),
     do: %{run | status: :failed, error: error, ended: now}
 
-  @doc "How long it has run, ms; `now` as `began`."
+  @doc "Returns the elapsed time in ms. `now` is on the same clock as `began`."
   @spec elapsed(t(), integer()) :: non_neg_integer()
   def elapsed(%__MODULE__{} = run, now), do: max((run.ended || now) - run.began, 0)
 
-  @doc "About how long it still takes, ms; `nil` where nobody can tell yet, and when it is over."
+  @doc "Estimates the remaining time in ms. Returns `nil` if it is too early for an estimate or the run has ended."
   @spec remaining(t(), integer()) :: non_neg_integer() | nil
   def remaining(%__MODULE__{status: :running, progress: %{done: done}} = run, now)
       when done >= @guess,

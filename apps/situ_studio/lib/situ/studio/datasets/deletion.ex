@@ -1,14 +1,16 @@
 defmodule Situ.Studio.Datasets.Deletion do
   @moduledoc """
-  Recordings of a dataset deleted from the disk: all that were asked for, or, where one of them is being recorded or is
-  used elsewhere in the dataset, none. A dataset's file may come from anyone and name any path: what no reader opens
-  and is no store, whole or damaged, stays.
+  Deletes recordings of a dataset from disk. Deletes none of them if one is still being recorded or is used elsewhere in
+  the dataset.
+
+  A dataset file may come from anyone and name any path. Therefore only stores (intact or damaged) and files that a
+  reader can open are deleted.
   """
   alias Situ.Dataset
   alias Situ.Dataset.Partition
   alias Situ.{Error, Store}
 
-  @doc "Deletes the recordings of these partitions. One that is not there any more counts as deleted."
+  @doc "Deletes the recordings of these partitions. A recording that no longer exists counts as deleted."
   @spec all(Dataset.t(), [{session :: String.t(), Partition.t()}]) :: :ok | {:error, Error.t()}
   def all(dataset, partitions) do
     with :ok <- each(partitions, &allowed(dataset, partitions, &1)),
@@ -39,9 +41,9 @@ defmodule Situ.Studio.Datasets.Deletion do
         {:error,
          Error.new(
            :in_use,
-           "#{partition.name} of #{session} is not deleted: other sessions use its recording",
-           why: "these do: #{Enum.join(users, ", ")}",
-           fix: "remove it there first"
+           "#{partition.name} of #{session} was not deleted because other sessions use its recording",
+           why: "it is used by #{Enum.join(users, ", ")}",
+           fix: "remove it from those sessions first"
          )}
 
       true ->
@@ -54,7 +56,9 @@ defmodule Situ.Studio.Datasets.Deletion do
          {:ok, store} <- Store.open(path),
          true <- Store.live?(store) do
       {:error,
-       Error.new(:live, "it is being recorded: #{path}", fix: "delete it when that has ended")}
+       Error.new(:live, "#{path} is still being recorded",
+         fix: "delete it after the recording has ended"
+       )}
     else
       false ->
         :ok
@@ -66,8 +70,8 @@ defmodule Situ.Studio.Datasets.Deletion do
 
   defp no_recording(path),
     do:
-      Error.new(:no_store, "#{path} is not deleted: it is no recording",
-        fix: "remove it from the dataset, and delete the file by other means"
+      Error.new(:no_store, "#{path} was not deleted because it is not a recording",
+        fix: "remove it from the dataset, and delete the file with another program"
       )
 
   defp delete(path) do
@@ -84,7 +88,7 @@ defmodule Situ.Studio.Datasets.Deletion do
   defp removed({:error, reason}, path),
     do:
       {:error,
-       Error.new(:not_deleted, "#{path} is not deleted",
+       Error.new(:not_deleted, "#{path} could not be deleted",
          why: to_string(:file.format_error(reason))
        )}
 end

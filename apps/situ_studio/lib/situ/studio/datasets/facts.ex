@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Datasets.Facts do
   @moduledoc """
-  Facts about a recording or a dataset for lists: times, streams, size, sessions, or why it cannot be opened.
+  Summarizes a recording or a dataset for lists: times, streams, size, sessions, or the error that prevents opening it.
   """
   alias Situ.{Dataset, Error, Store}
   alias Situ.Studio.{Figures, Source, StreamInfo}
@@ -25,7 +25,7 @@ defmodule Situ.Studio.Datasets.Facts do
           error: Error.t() | nil
         }
 
-  @doc "Of the recording at a path: opens it."
+  @doc "Opens the recording at a path and summarizes it."
   @spec of(Path.t()) :: t()
   def of(path) do
     case Source.Store.open(path) do
@@ -34,7 +34,7 @@ defmodule Situ.Studio.Datasets.Facts do
     end
   end
 
-  # The streams of a film are much larger than its file: a recording that is one file is as large as that.
+  # The decoded streams of a video are much larger than its file, so a single-file recording has the size of its file.
   defp sized(facts, path) do
     case File.stat(path) do
       {:ok, %{type: :regular, size: size}} when facts.error == nil -> %{facts | size: size}
@@ -42,14 +42,14 @@ defmodule Situ.Studio.Datasets.Facts do
     end
   end
 
-  @doc "The figures of recordings together."
+  @doc "Adds up the figures of several recordings."
   @spec figures([t()]) :: Figures.t()
   def figures(facts) do
     sum = facts |> Enum.flat_map(& &1.streams) |> Figures.sum()
     %{sum | bytes: facts |> Enum.map(& &1.size) |> Enum.sum()}
   end
 
-  @doc "Of the dataset in a file: how many sessions it has. Its recordings are not opened, there may be thousands."
+  @doc "Returns the number of sessions in a dataset file. Does not open its recordings, as there may be thousands."
   @spec of_dataset(Path.t()) :: t()
   def of_dataset(file) do
     case Dataset.load(file) do
@@ -58,7 +58,7 @@ defmodule Situ.Studio.Datasets.Facts do
     end
   end
 
-  @doc "Of what is open already, such as streams in memory."
+  @doc "Summarizes a source that is already open, such as streams in memory."
   @spec of_source(Source.t()) :: t()
   def of_source(source) do
     with {:ok, streams} <- Source.call(source, :streams, []),
@@ -78,7 +78,7 @@ defmodule Situ.Studio.Datasets.Facts do
     end
   end
 
-  @doc "Of several together."
+  @doc "Combines the summaries of several recordings."
   @spec sum([t()]) :: t()
   def sum(facts) do
     %__MODULE__{
@@ -92,7 +92,7 @@ defmodule Situ.Studio.Datasets.Facts do
   end
 
   @doc """
-  How long, as people say it; empty where there are no messages.
+  Formats the duration for people. Returns an empty string if there are no messages.
 
       iex> Situ.Studio.Datasets.Facts.duration(%Situ.Studio.Datasets.Facts{from: 0, to: 90_000_000_000})
       "1 min 30 s"
@@ -101,7 +101,7 @@ defmodule Situ.Studio.Datasets.Facts do
   def duration(%__MODULE__{from: nil}), do: ""
   def duration(%__MODULE__{from: from, to: to}), do: Situ.Time.format_duration(to - from)
 
-  @doc "The files a recording is made of, as a stamp that changes when it is replaced or grows."
+  @doc "Returns a stamp of the recording's files that changes when the recording is replaced or grows."
   @spec stamp(Path.t()) :: term()
   def stamp(path) do
     index = Path.join(path, "index.situ")

@@ -1,17 +1,17 @@
 defmodule Situ.Studio.Datasets.Folders do
   @moduledoc """
-  Folders of recordings taken into a dataset: as many sessions, as one, or as recordings of a session. Those that
-  the dataset has already are passed over and counted.
+  Adds folders of recordings to a dataset: as one session per folder, as a single session, or as recordings of an
+  existing session. Recordings and sessions that the dataset already contains are skipped and reported.
   """
   alias Situ.Dataset
   alias Situ.Dataset.{Names, Partition, Session}
   alias Situ.Studio.Catalog.Item
 
-  @typedoc "How many were added, and the names of those that were not."
+  @typedoc "The number of items added and the names of the skipped ones."
   @type told :: {added :: non_neg_integer(), skipped :: [String.t()]}
 
   @doc """
-  The folders that hold recordings of a studio, at any depth, by the names that its addresses give them.
+  Lists the folders that contain recordings of a studio, at any depth, with their names in addresses.
 
       iex> item = fn id -> %Situ.Studio.Catalog.Item{id: id, title: id, kind: :store, path: "/data/" <> id} end
       iex> Situ.Studio.Datasets.Folders.of(Enum.map(["p1/a/room.0000", "p2/room.0000", "talk.mp4"], item))
@@ -32,13 +32,13 @@ defmodule Situ.Studio.Datasets.Folders do
   defp above(".", path), do: [{".", path}]
   defp above(id, path), do: [{id, path} | above(Path.dirname(id), Path.dirname(path))]
 
-  @doc "Adds each folder in `folder` (and each recording that lies in it) as a session."
+  @doc "Adds each folder in `folder`, and each recording directly in it, as a session."
   @spec sessions(Dataset.t(), Path.t()) :: {:ok, Dataset.t(), told()} | {:error, Situ.Error.t()}
   def sessions(dataset, folder) do
     with {:ok, found} <- Dataset.open(folder), do: added(dataset, found.sessions)
   end
 
-  @doc "Adds all recordings in and below `folder` as one session that is called after it."
+  @doc "Adds all recordings in and below `folder` as one session named after the folder."
   @spec session(Dataset.t(), Path.t()) :: {:ok, Dataset.t(), told()} | {:error, Situ.Error.t()}
   def session(dataset, folder) do
     with {:ok, found} <- Dataset.open(folder) do
@@ -62,7 +62,7 @@ defmodule Situ.Studio.Datasets.Folders do
 
   defp added(dataset, sessions), do: added(dataset, sessions, {0, []})
 
-  # All in one edit, which is saved once.
+  # Adding all sessions in one edit saves the dataset only once.
   defp added(dataset, sessions, {_, skipped}) do
     names = MapSet.new(dataset.sessions, & &1.name)
     {there, new} = Enum.split_with(sessions, &(&1.name in names))
@@ -88,7 +88,7 @@ defmodule Situ.Studio.Datasets.Folders do
     do: for(s <- dataset.sessions, p <- s.partitions, into: MapSet.new(), do: p.path)
 
   @doc """
-  The page's words for it.
+  Describes the result for the page.
 
       iex> Situ.Studio.Datasets.Folders.said({2, ["p01", "p02"]}, "session")
       "2 sessions added; there already: p01, p02"

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Datasets.Place do
   @moduledoc """
-  Where a session or a recording of a dataset stands in an address: the dataset's own id, then the session, then the
-  partition, each written so that it holds no slash.
+  Identifies a session or a recording of a dataset in an address. The id consists of the dataset's own id, the session
+  and the partition, each escaped so that it contains no slash.
 
       iex> id = Situ.Studio.Datasets.Place.id("study.json", ["day 1/am", "Room"])
       iex> id
@@ -10,14 +10,14 @@ defmodule Situ.Studio.Datasets.Place do
       [{"study.json", ["day 1/am", "Room"]}, {"study.json/day 1%2Fam", ["Room"]}]
   """
 
-  @doc "The id of a part of the dataset `dataset`."
+  @doc "Builds the id of a part of the dataset `dataset`."
   @spec id(String.t(), [String.t()]) :: String.t()
   def id(dataset, parts),
     do: Enum.join([dataset | Enum.map(parts, &escape/1)], "/")
 
   defp escape(name), do: URI.encode(name, &(&1 not in [?/, ?%]))
 
-  @doc "The ways to read an id as a dataset with one or two names behind it, the deepest first."
+  @doc "Lists the ways to split an id into a dataset and one or two names, the deepest first."
   @spec splits(String.t()) :: [{String.t(), [String.t()]}]
   def splits(id) do
     segments = String.split(id, "/")

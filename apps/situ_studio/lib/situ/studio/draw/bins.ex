@@ -1,31 +1,31 @@
 defmodule Situ.Studio.Draw.Bins do
   @moduledoc """
-  Points folded into bins that are aligned to multiples of their width, so that panning gives the same bins again.
+  Folds points into bins that are aligned to multiples of their width, so that panning yields the same bins again.
 
       iex> points = for t <- 0..3, do: Situ.Studio.Draw.Bins.point(t, t * 1.0)
       iex> Situ.Studio.Draw.Bins.fold(points, 2, 2)
       {[{0, 0.0, 1.0, 1.0, 2}, {2, 2.0, 3.0, 3.0, 2}], false}
   """
 
-  # The greatest float, which is a whole number.
+  # The largest float, as an integer.
   @greatest trunc(1.797_693_134_862_315_7e308)
 
   @type point :: Situ.Codec.point()
   @type gap :: {Situ.Time.t(), nil, nil, nil, pos_integer()}
 
-  @doc "One value at one time."
+  @doc "Builds the point of one value at one time."
   @spec point(Situ.Time.t(), number()) :: point()
   def point(time, value), do: {time, value, value, value, 1}
 
-  @doc "Where a line is interrupted."
+  @doc "Builds a point that interrupts a line."
   @spec gap(Situ.Time.t()) :: gap()
   def gap(time), do: {time, nil, nil, nil, 1}
 
-  @doc "Whether a line is interrupted here."
+  @doc "Returns whether a point interrupts its line."
   @spec gap?(point() | gap()) :: boolean()
   def gap?(point), do: elem(point, 1) == nil
 
-  @doc "The points of a line for one value: a point for a number, a gap for `nil`, none for other terms."
+  @doc "Returns the points of a line for one value: a point for a number, a gap for `nil`, none for other terms."
   @spec points(Situ.Time.t(), term()) :: [point() | gap()]
   def points(time, nil), do: [gap(time)]
   def points(time, %Situ.Studio.Hole{}), do: [gap(time)]
@@ -54,7 +54,7 @@ defmodule Situ.Studio.Draw.Bins do
   def number(false), do: {:ok, 0}
   def number(_), do: :error
 
-  @doc "At most about `keep` points stay as they are (`true`); more are folded into bins `bin` ns wide (`false`)."
+  @doc "Returns up to `keep` points unchanged (`true`), or folds more of them into bins `bin` ns wide (`false`)."
   @spec fold([point() | gap()], pos_integer(), pos_integer()) ::
           {[point() | gap()], raw? :: boolean()}
   def fold(points, bin, keep) do
@@ -67,7 +67,7 @@ defmodule Situ.Studio.Draw.Bins do
     |> Enum.map(fn [first | rest] -> Enum.reduce(rest, first, &join(&2, &1)) end)
   end
 
-  # A gap shows when there is nothing else in its bin.
+  # A gap is visible only if its bin contains nothing else.
   defp join({t, min, max, last, n}, {_, nil, nil, nil, k}), do: {t, min, max, last, n + k}
   defp join({t, nil, nil, nil, n}, {_, min, max, last, k}), do: {t, min, max, last, n + k}
 

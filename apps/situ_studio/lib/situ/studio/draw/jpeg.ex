@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Draw.Jpeg do
   @moduledoc false
-  # The one place that knows how this machine encodes JPEG. A picture that cannot be encoded goes as plain pixels.
+  # The only module that knows how this machine encodes JPEG. Images that cannot be encoded are sent as plain pixels.
 
   @spec encode(Situ.Image.t(), 1..100) :: {:ok, iodata()} | :error
   def encode(image, quality) do

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Draw.Key do
   @moduledoc """
-  Keys of maps as names on the page: what tells the lanes or lines of one stream apart.
+  Names map keys on the page, to distinguish the lanes or lines of one stream.
 
       iex> Situ.Studio.Draw.Key.sort([:b, 10, 9, "a"]) |> Enum.map(&Situ.Studio.Draw.Key.text/1)
       ["9", "10", "a", "b"]
@@ -10,11 +10,11 @@ defmodule Situ.Studio.Draw.Key do
   @max_text 60
   @limit 32
 
-  @doc "How many of one stream are drawn at most; of more, the first."
+  @doc "Returns the maximum number of keys drawn for one stream. Further keys are left out."
   @spec limit() :: pos_integer()
   def limit, do: @limit
 
-  @doc "The name of a key, whatever term it is."
+  @doc "Returns the display name of a key, which may be any term."
   @spec text(term()) :: String.t()
   def text(key) when is_binary(key) do
     if String.valid?(key), do: String.slice(key, 0, @max_text), else: cut(key)
@@ -26,7 +26,7 @@ defmodule Situ.Studio.Draw.Key do
   defp cut(key),
     do: key |> inspect(limit: 8, printable_limit: @max_text) |> String.slice(0, @max_text)
 
-  @doc "Numbers by size, then the others by name; at most `limit/0` of them."
+  @doc "Sorts numbers by size and the other keys after them by name. Returns at most `limit/0` keys."
   @spec sort([term()]) :: [term()]
   def sort(keys) do
     keys

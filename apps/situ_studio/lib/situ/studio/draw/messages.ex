@@ -1,21 +1,23 @@
 defmodule Situ.Studio.Draw.Messages do
   @moduledoc """
-  The messages that a visualizer over time draws: those of a window, with what is in force at its beginning and until
-  when that holds at its end. Of more than can be read at once, a sample over the whole window, evenly by number.
+  Reads the messages that a visualizer draws over time: the messages of a window, the one in force at its start, and
+  the next one, which ends the last state. If a window has too many messages to read, it is sampled evenly by message
+  number.
   """
   alias Situ.Studio.{Source, Visualizer}
 
-  # Of so few messages nobody can tell how often they come, as holes may lie among them: so many on both sides say it.
+  # A rate cannot be determined from so few messages, because there may be gaps between them. Then this many are read on
+  # both sides.
   @few 32
   @beside 16
 
   @scan 200_000
   @sample 1_500
 
-  @typedoc "A message and its place in the stream; neighbours in the stream differ by one."
+  @typedoc "A message and its position in the stream; the positions of adjacent messages differ by one."
   @type numbered :: {integer(), Situ.Message.t()}
 
-  @doc "Those within, and one or some on both sides (`beside/4`); `false` when they are a sample."
+  @doc "Fetches the messages within a window and one or more on both sides; `false` if they are a sample."
   @spec around(Source.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, [Situ.Message.t()], all? :: boolean()} | {:error, Situ.Error.t()}
   def around(source, spec, from, to) do
@@ -23,7 +25,7 @@ defmodule Situ.Studio.Draw.Messages do
          do: {:ok, Enum.map(numbered, &elem(&1, 1)), all?}
   end
 
-  @doc "The same with their places."
+  @doc "Fetches the same messages with their positions."
   @spec numbered(Source.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, [numbered()], all? :: boolean()} | {:error, Situ.Error.t()}
   def numbered(source, %{stream: stream}, from, to) do
@@ -36,7 +38,7 @@ defmodule Situ.Studio.Draw.Messages do
     end
   end
 
-  @doc "Those within the window only."
+  @doc "Fetches only the messages within the window."
   @spec within(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, [Situ.Message.t()], all? :: boolean()} | {:error, Situ.Error.t()}
   def within(source, stream, from, to) do
@@ -62,8 +64,8 @@ defmodule Situ.Studio.Draw.Messages do
   defp ends([{first, _} | _] = rows), do: {first, rows |> List.last() |> elem(0)}
 
   @doc """
-  The messages before and after a window of `n` messages: one on both sides, so that lines reach the edges; some more
-  where the window has too few to tell how often they come, which tells holes.
+  Fetches the messages before and after a window of `n` messages. One on each side lets lines reach the edges. If the
+  window has too few messages to determine their rate, more are fetched, so that gaps can be detected.
   """
   @spec beside(Source.t(), String.t(), {Situ.Time.t(), Situ.Time.t()}, non_neg_integer()) ::
           {before :: [Situ.Message.t()], later :: [Situ.Message.t()]}

@@ -1,21 +1,21 @@
 defmodule Situ.Studio.Draw.Picture do
   @moduledoc """
-  A message's picture as bytes a browser can draw. Encoded pictures pass through as they are; raw ones go as JPEG where
-  this machine can encode it and as plain pixels where not; depth goes as 16-bit values, so that the page can colour it
-  and tell the value under the mouse.
+  Converts a message's image to bytes that a browser can draw. Encoded images are passed through unchanged. Raw images
+  are sent as JPEG if this machine can encode it, and as plain pixels otherwise. Depth images are sent as 16-bit values,
+  so that the page can colour them and show the value under the mouse.
   """
   alias Situ.{DepthImage, EncodedImage, Image}
 
   @quality 85
-  # Below this many pixels a JPEG would blur what people look at closely, and saves little.
+  # In images with fewer pixels, JPEG would blur details that people look at closely, and would save little.
   @small 4_096
 
   @type t ::
           {atom(), non_neg_integer(), non_neg_integer(), iodata(), unit_um :: non_neg_integer()}
 
   @doc """
-  `{pixels, width, height, data, unit}` as `Situ.Studio.Frame.image/3` takes it; of depth, a value of 1 is `unit`
-  micrometres.
+  Returns `{pixels, width, height, data, unit}` as expected by `Situ.Studio.Frame.image/3`. In a depth image, a value of
+  1 is `unit` micrometres.
   """
   @spec of(term()) :: {:ok, t()} | {:error, String.t()}
   def of(%EncodedImage{format: format} = i) when format in [:jpeg, :png],
@@ -36,7 +36,7 @@ defmodule Situ.Studio.Draw.Picture do
   end
 
   def of(%Image{} = image), do: raw(image)
-  def of(_), do: {:error, "this message holds no picture"}
+  def of(_), do: {:error, "this message does not contain an image"}
 
   defp raw(%Image{width: w, height: h, format: format} = image) do
     with {:ok, image} <- valid(image) do
@@ -53,7 +53,7 @@ defmodule Situ.Studio.Draw.Picture do
     end
   end
 
-  # A file may claim anything: values that no sensor has are shown as not known.
+  # A file may claim any scale, so scales that no sensor has are reported as unknown.
   defp unit(scale) when is_number(scale) and scale > 0 and scale <= 1_000,
     do: round(scale * 1.0e6)
 

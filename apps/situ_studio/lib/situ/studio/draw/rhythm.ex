@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Draw.Rhythm do
   @moduledoc """
-  How often messages come, and which pauses are holes: something is missing there, and nothing may be drawn across.
-  The page has the same rule for lines (`assets/js/data/rhythm.js`).
+  Determines how often messages arrive and which pauses are gaps. Messages are missing in a gap, so nothing may be drawn
+  across it. The page applies the same rule to lines (`assets/js/data/rhythm.js`).
 
       iex> every_ten = for t <- Enum.concat(0..50//10, 500..600//10), do: {t, 1}
       iex> Situ.Studio.Draw.Rhythm.holes(every_ten)
@@ -10,15 +10,15 @@ defmodule Situ.Studio.Draw.Rhythm do
       []
   """
   @looked_at 256
-  # A pause of so many periods is a hole in what comes regularly.
+  # In a regular stream, a pause of this many periods is a gap.
   @missed 8
-  # Messages come regularly when nine of ten pauses are not longer than so many usual ones.
+  # A stream is regular if nine of ten pauses are at most this many times as long as the usual one.
   @steady 2.5
 
-  @typedoc "The time of the first of some messages, and how many there are until the next row."
+  @typedoc "The time of the first of some messages, and the number of messages until the next row."
   @type row :: {Situ.Time.t(), pos_integer()}
 
-  @doc "From where on and until when nothing is known, in order; a message holds until its successor is due."
+  @doc "Returns the gaps as time ranges, in order. A message holds until its successor is due."
   @spec holes([row()]) :: [{Situ.Time.t(), Situ.Time.t()}]
   def holes(rows) do
     case period(rows) do

@@ -1,16 +1,15 @@
 defmodule Situ.Studio.Draw.Segments do
   @moduledoc """
-  Lanes of states and labels: what a message says holds until the next. Neighbours that say the same are one segment.
-  A map
-  has a lane for each of its keys, which ends where a message no longer has the key.
+  Builds lanes of states and labels. The value of a message holds until the next message, and adjacent equal values form
+  one segment. A map has a lane for each of its keys; a lane ends at the first message without its key.
 
       iex> said = [{0, true}, {1, true}, {2, false}]
       iex> messages = for {t, v} <- said, do: {t, %Situ.Message{data: v, originating_time: t}}
       iex> Situ.Studio.Draw.Segments.of(messages, [], 9)
       [{0, 2, "true", "true", ""}, {2, nil, "false", "false", ""}]
 
-  Only what is known is drawn. Between two messages of a sample lie others that nobody read: such a stretch is of the
-  class `"many"` and says how many.
+  Only known values are drawn. Between two messages of a sample there are others that were not read. Such a stretch has
+  the class `"many"` and shows their number.
 
       iex> messages = for {n, v} <- [{0, true}, {100, true}], do: {n, %Situ.Message{data: v, originating_time: n}}
       iex> Situ.Studio.Draw.Segments.of(messages, [], 200)
@@ -19,7 +18,7 @@ defmodule Situ.Studio.Draw.Segments do
   alias Situ.Studio.{Frame, Hole, Path, Source, Visualizer}
   alias Situ.Studio.Draw.{Key, Messages, Rhythm}
 
-  @typedoc "From, to (`nil`: open), what it says, the way it is drawn, the name of its lane (`\"\"`: the only one)."
+  @typedoc "From, to (`nil`: open), label, class (how it is drawn), and the name of its lane (`\"\"`: the only lane)."
   @type t ::
           {Situ.Time.t(), Situ.Time.t() | nil, label :: String.t(), class :: String.t(),
            lane :: String.t()}
@@ -27,8 +26,8 @@ defmodule Situ.Studio.Draw.Segments do
   @rows 3_000
 
   @doc """
-  The frame of a window made of messages, for a visualizer's `window`. Where messages are missing that should have come,
-  nothing is drawn.
+  Builds the frame of a window from messages, for a visualizer's `window`. Nothing is drawn in gaps, where messages were
+  expected but are missing.
   """
   @spec window(
           Source.t(),
@@ -54,7 +53,7 @@ defmodule Situ.Studio.Draw.Segments do
   end
 
   @doc """
-  Without what would lie in holes.
+  Removes the parts of segments that are within gaps.
 
       iex> Situ.Studio.Draw.Segments.cut([{0, 90, "x", "state", ""}, {90, nil, "y", "state", ""}], [{20, 50}])
       [{0, 20, "x", "state", ""}, {50, 90, "x", "state", ""}, {90, nil, "y", "state", ""}]
@@ -68,7 +67,7 @@ defmodule Situ.Studio.Draw.Segments do
     end)
   end
 
-  # `nil` is later than every time, as atoms are in the order of terms.
+  # `nil` is later than every time, because atoms sort after numbers.
   defp outside(a, b, [{_, to} | holes]) when to <= a, do: outside(a, b, holes)
   defp outside(a, b, [{from, _} | _]) when from >= b, do: [{a, b}]
   defp outside(a, b, []), do: [{a, b}]
@@ -78,7 +77,7 @@ defmodule Situ.Studio.Draw.Segments do
     if to < b, do: before ++ outside(to, b, holes), else: before
   end
 
-  @doc "The frame of segments made of `messages`; where there are too many to tell apart, neighbours become one."
+  @doc "Builds the frame of segments of `messages`. Merges neighbours if there are too many segments to distinguish."
   @spec frame([t()], Frame.channel(), pos_integer(), [Situ.Message.t()], boolean()) :: Frame.t()
   def frame(rows, channel, bin, messages, all?) do
     newest = if messages != [], do: List.last(messages).originating_time
@@ -86,10 +85,9 @@ defmodule Situ.Studio.Draw.Segments do
   end
 
   @doc """
-  Segments of messages in order, lane by lane. Of messages after `to` only the time counts: the last segment ends
-  there, or
-  is open where there is none. Texts are states, a name for what holds, but for what people said (`texts?`): saying the
-  same twice is two utterances.
+  Builds the segments of messages in order, lane by lane. A message after `to` only contributes its time, at which the
+  last segment ends; without one the last segment is open. Strings are states, which hold, unless `texts?` is set:
+  then they are utterances, and the same text twice is two segments.
   """
   @spec of([Messages.numbered()], Path.t(), Situ.Time.t(), texts? :: boolean()) :: [t()]
   def of(messages, path, to, texts? \\ false) do
@@ -100,13 +98,13 @@ defmodule Situ.Studio.Draw.Segments do
     merge(by_lane[:only] || [], "") ++ Enum.concat(keyed)
   end
 
-  @doc "The lanes of one message's data: the names of a map's keys, or none."
+  @doc "Returns the lane names of one message's data, which are the keys of a map. Other data has none."
   @spec lanes(term()) :: [String.t()]
   def lanes(data) do
     for {{:key, key}, _} <- entries(data), do: Key.text(key)
   end
 
-  # {lane, {from, to, label, class}} of every message
+  # Returns `{lane, {from, to, label, class}}` for every message.
   defp spread([{n, message} | rest], path, to, texts?) when message.originating_time <= to do
     {until, more} =
       case rest do
@@ -160,9 +158,8 @@ defmodule Situ.Studio.Draw.Segments do
   defp merge([], _), do: []
 
   @doc """
-  Many segments shorter than `least` become few: neighbours that are all too short to be told apart are one, of the
-  class
-  `"many"`, which says how often it changes.
+  Merges segments if there are more than `keep`. Adjacent segments that are all shorter than `least`, and therefore
+  indistinguishable, become one segment of the class `"many"` that shows the number of changes.
 
       iex> rows = for t <- 0..9, do: {t, t + 1, "x\#{t}", "state", ""}
       iex> Situ.Studio.Draw.Segments.thin(rows ++ [{10, 90, "y", "state", ""}], 5, 3)
@@ -176,7 +173,7 @@ defmodule Situ.Studio.Draw.Segments do
         rows |> Enum.reduce([], &thin_one(&1, &2, least)) |> Enum.map(&many/1) |> Enum.reverse()
   end
 
-  # `{:many, n}` in the place of the label counts while it grows.
+  # While segments are being merged, `{:many, n}` replaces the label and counts them.
   defp thin_one({a, b, label, class, lane} = row, [{from, a, held, _, lane} = last | rest], least)
        when is_integer(b) and b - a < least and class not in ["many", "text", "span"] do
     case held do
@@ -192,7 +189,7 @@ defmodule Situ.Studio.Draw.Segments do
   defp many({a, b, {:many, n}, _, lane}), do: {a, b, "#{n} changes", "many", lane}
   defp many(row), do: row
 
-  @doc "A value in a few words."
+  @doc "Formats a value in a few words."
   @spec label(term()) :: String.t()
   def label(value) when is_binary(value) do
     if String.valid?(value), do: String.slice(value, 0, @max_label), else: inspect(value)
@@ -204,7 +201,7 @@ defmodule Situ.Studio.Draw.Segments do
   def label(value),
     do: value |> inspect(limit: 10, printable_limit: 80) |> String.slice(0, @max_label)
 
-  @doc "The way a state is drawn."
+  @doc "Returns the class of a state, which determines how it is drawn."
   @spec class(term()) :: String.t()
   def class(true), do: "true"
   def class(false), do: "false"

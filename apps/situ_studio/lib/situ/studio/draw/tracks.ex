@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Draw.Tracks do
   @moduledoc """
-  Lanes from a source's summary (`Situ.Store.Summary`): exact times of changes where there are few; where there are
-  many, what is known of each bin. A bin with more than one state has no state of its own: it is of the class `"many"`
-  and says which messages it holds.
+  Builds lanes from a source's summary (`Situ.Store.Summary`). If there are few changes, their exact times are known;
+  if there are many, the states in each bin are known. A bin with more than one state has the class `"many"` and shows
+  which messages it contains.
 
       iex> bins = [{0, true, [{true, 4}]}, {8, false, [{true, 1}, {false, 3}]}, {16, false, [{false, 4}]}]
       iex> summary = %{width: 8, counts: [{0, 4}, {8, 4}, {16, 4}], tracks: [{nil, {:states, bins}}]}
@@ -22,7 +22,7 @@ defmodule Situ.Studio.Draw.Tracks do
 
   @told 3
 
-  @doc "The segments of all tracks of states, lane by lane; the last of each ends at `later`, or is open (`nil`)."
+  @doc "Returns the segments of all state tracks, lane by lane. The last of each ends at `later`, or is open (`nil`)."
   @spec segments(Situ.Store.Summary.t() | map(), Situ.Time.t() | nil) :: [Segments.t()]
   def segments(%{tracks: tracks, width: width, counts: counts}, later) do
     by_key =
@@ -50,7 +50,7 @@ defmodule Situ.Studio.Draw.Tracks do
     |> held(later)
   end
 
-  # With the bins whose messages do not have the key.
+  # Adds the bins whose messages do not have the key.
   defp with_absent([bin | bins], [{start, _} | _] = counts) when elem(bin, 0) < start,
     do: [bin | with_absent(bins, counts)]
 
@@ -62,7 +62,7 @@ defmodule Situ.Studio.Draw.Tracks do
 
   defp with_absent(bins, []), do: bins
 
-  # Neighbouring bins of many states are one.
+  # Merges neighbouring bins of several states.
   defp together([{start, {:many, to, counts, _}}, {to, {:many, next, more, last}} | rest]),
     do:
       together([
@@ -70,7 +70,7 @@ defmodule Situ.Studio.Draw.Tracks do
       ])
 
   defp together([{start, {:many, to, _, last} = many} | rest]) do
-    # until the next bin with messages the last state holds
+    # The last state holds until the next bin with messages.
     rest = if match?([{^to, _} | _], rest), do: rest, else: [{to, last} | rest]
     [{start, many} | together(rest)]
   end
@@ -78,7 +78,7 @@ defmodule Situ.Studio.Draw.Tracks do
   defp together([row | rest]), do: [row | together(rest)]
   defp together([]), do: []
 
-  # A state holds until the next.
+  # A state holds until the next state.
   defp held([{from, same}, {_, same} | rest], later), do: held([{from, same} | rest], later)
 
   defp held([{from, state}, {to, _} = next | rest], later),

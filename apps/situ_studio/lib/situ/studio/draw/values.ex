@@ -54,7 +54,7 @@ defmodule Situ.Studio.Draw.Values do
     Frame.json(channel, time, %{"time" => Integer.to_string(time), "values" => texts})
   end
 
-  @doc "Writes a value as text, exactly; `nil` for terms that are not drawn."
+  @doc "Formats a value exactly. Returns `nil` for terms that are not drawn."
   @spec text(term()) :: String.t() | nil
   def text(nil), do: nil
   def text(%Hole{}), do: nil

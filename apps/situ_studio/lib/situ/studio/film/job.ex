@@ -1,14 +1,14 @@
 defmodule Situ.Studio.Film.Job do
   @moduledoc """
-  The making of one film for one page: tells the page how far it is, keeps the file until the page is closed, and can be
-  cancelled. The page gets `{:film, key, told}`, where `told` is `{:progress, part}`, `{:done, bytes}` or
+  Exports one video for one page: reports the progress to the page, keeps the file until the page is closed, and can be
+  cancelled. The page receives `{:film, key, event}`, where `event` is `{:progress, part}`, `{:done, bytes}` or
   `{:error, error}`.
   """
   use GenServer, restart: :temporary
 
   alias Situ.Studio.{Catalog, Film, Source}
 
-  @doc "Begins a film for the calling process; the key under which the finished file is fetched."
+  @doc "Starts an export for the calling process. Returns the key for fetching the finished file."
   @spec begin(Catalog.id(), Film.t(), Source.t()) :: {:ok, String.t()}
   def begin(studio, %Film{} = film, source) do
     key = Base.url_encode64(:crypto.strong_rand_bytes(18))
@@ -17,7 +17,7 @@ defmodule Situ.Studio.Film.Job do
     {:ok, key}
   end
 
-  @doc "Ends it; what was written is gone."
+  @doc "Cancels the export and deletes its output."
   @spec cancel(Catalog.id(), String.t()) :: :ok
   def cancel(studio, key) do
     case Registry.lookup(Situ.Studio.Registry, {studio, :film, key}) do
@@ -28,7 +28,7 @@ defmodule Situ.Studio.Film.Job do
     :exit, _ -> :ok
   end
 
-  @doc "The finished file."
+  @doc "Fetches the path of the finished file."
   @spec file(Catalog.id(), term()) :: {:ok, Path.t()} | :error
   def file(studio, key) do
     case Registry.lookup(Situ.Studio.Registry, {studio, :film, key}) do
@@ -71,12 +71,14 @@ defmodule Situ.Studio.Film.Job do
     {:stop, :normal, state}
   end
 
-  # Whoever asked for it is gone.
+  # The page that requested the video was closed.
   def handle_info({:DOWN, _, :process, _, _}, state), do: {:stop, :normal, state}
 
   def handle_info({:EXIT, task, reason}, %{task: task} = state) when reason != :normal do
     error =
-      Situ.Error.new(:film_failed, "the film cannot be made", why: inspect(reason, limit: 8))
+      Situ.Error.new(:film_failed, "the video could not be created",
+        why: inspect(reason, limit: 8)
+      )
 
     tell(state, {:error, error})
     {:stop, :normal, state}

@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Film.Masks do
   @moduledoc """
-  Masks burnt into the pictures of a film, see-through and coloured as on the page
-  (`Situ.Studio.Visualizers.Masks`): those of objects in their boxes, those of classes over the part of the picture
-  that the network saw.
+  Draws masks into the images of a video, semi-transparent and coloured as on the page
+  (`Situ.Studio.Visualizers.Masks`). Masks of objects are drawn in their boxes, and masks of classes over the part of
+  the image that was the network's input.
 
       iex> image = Situ.Image.filled(2, 1, :bgr24, [0, 0, 0])
       iex> mask = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<0, 255>>)
@@ -13,12 +13,12 @@ defmodule Situ.Studio.Film.Masks do
   alias Situ.{Image, Imaging}
   alias Situ.Studio.Visualizers.Masks, as: Found
 
-  # A box may claim any size: larger ones are left out.
+  # A box may claim any size, so larger ones are left out.
   @pixels 16_777_216
   @opacity 45
   @shades {1, 0.6, 0.8, 0.4}
 
-  @doc "A `:bgr24` picture with masks over it; `palette` holds red, green and blue, 0..255, `own` the stream's place."
+  @doc "Draws masks over a `:bgr24` image. `palette` has red, green and blue, 0..255; `own` is the stream's index."
   @spec over(Image.t(), Found.found(), non_neg_integer(), tuple(), map()) :: Image.t()
   def over(image, {:classes, classes}, _own, palette, props) do
     box = covered(classes, image, props["fit"] || "pad")
@@ -35,7 +35,7 @@ defmodule Situ.Studio.Film.Masks do
     end)
   end
 
-  # The part of the picture that numbers of classes lie over.
+  # Returns the part of the image that the class numbers cover.
   defp covered(%{width: side, height: side}, %{width: w, height: h}, fit) when fit != "whole" do
     side = if fit == "crop", do: min(w, h), else: max(w, h)
     {(w - side) / 2, (h - side) / 2, side, side}
@@ -47,14 +47,14 @@ defmodule Situ.Studio.Film.Masks do
 
   defp color(palette, i), do: elem(palette, rem(abs(i), tuple_size(palette)))
 
-  # Further classes than colours are darker or lighter, as on the page.
+  # If there are more classes than colours, the rest are darker or lighter, as on the page.
   defp shade(palette, i) do
     k = elem(@shades, rem(div(abs(i), tuple_size(palette)), tuple_size(@shades)))
     {r, g, b} = color(palette, i)
     {round(r * k), round(g * k), round(b * k)}
   end
 
-  # The values are looked up once each: there are 256.
+  # Looks up each of the 256 values only once.
   defp tinted(image, mask, {x, y, w, h}, color_of, weight) do
     {x, y, w, h} = {round(x), round(y), round(w), round(h)}
     {left, top} = {max(x, 0), max(y, 0)}

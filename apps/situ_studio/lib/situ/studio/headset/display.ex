@@ -4,26 +4,34 @@ defmodule Situ.Studio.Headset.Display do
     as: [
       type: :string,
       default: "shown",
-      doc: "The drawing's name: streams shown at once have different ones."
+      doc: "The drawing's name. Streams shown at the same time need different names."
     ],
-    color: [type: :string, default: "#4ea1ff", doc: "As `#rrggbb`, of what has none of its own."],
+    color: [
+      type: :string,
+      default: "#4ea1ff",
+      doc: "The colour (`#rrggbb`) of objects that do not have one."
+    ],
     axis: [type: :number, default: 0.1, doc: "The length of a pose's axes, metres."],
     ray: [type: :number, default: 3.0, doc: "The length of a ray, metres."],
-    thickness: [type: :number, default: 6, doc: "Of lines and joints, millimetres."],
-    points: [type: :pos_integer, default: 100_000, doc: "Points of a cloud at most."]
+    thickness: [type: :number, default: 6, doc: "The thickness of lines and joints, millimetres."],
+    points: [
+      type: :pos_integer,
+      default: 100_000,
+      doc: "The maximum number of points of a cloud."
+    ]
   ]
 
   @moduledoc """
-  Draws in a headset (`Situ.Studio.Headset`) what a stream says: poses, rays, boxes, texts with a place, rectangles,
-  pictures, meshes, clouds, skeletons and all else that a 3D panel draws (`Situ.Studio.Scene.Terms`).
+  Draws the data of a stream in a headset (`Situ.Studio.Headset`): poses, rays, boxes, positioned texts, rectangles,
+  images, meshes, point clouds, skeletons and everything else that a 3D panel draws (`Situ.Studio.Scene.Terms`).
 
       objects
       |> Situ.map(fn {name, box} -> {name, box} end)
       |> Situ.Studio.Headset.Display.show(as: "objects", color: "#ffcc00")
 
-  A message replaces what the one before it drew; one with nothing to draw clears it. Places are in the headset's own
-  frame (x forward, y left, z up, from where its session began). A page that comes later gets the last message. While
-  one drawing is on its way, of those that follow only the newest is kept.
+  Each message replaces the drawing of the previous one; a message with nothing to draw clears it. Positions are in the
+  headset's frame (x forward, y left, z up, relative to the start of its session). A page that connects later receives
+  the last message. While a drawing is in flight, only the newest of the following ones is kept.
 
   ## Options
 
@@ -36,7 +44,7 @@ defmodule Situ.Studio.Headset.Display do
   alias Situ.Studio.Sensor.Inbox
 
   @registry Situ.Studio.Registry
-  # More than that a page that reads has not left lying.
+  # A page that reads its messages never has this many in its mailbox.
   @most 100
 
   @doc "Connects the display to `stream`; returns `stream`."
@@ -46,7 +54,7 @@ defmodule Situ.Studio.Headset.Display do
     stream
   end
 
-  @doc "Tells the displays of a page that it is there. For the page's connection."
+  @doc "Notifies the displays of a page that the page has connected. The page's connection calls this."
   @spec page_came(module(), String.t()) :: :ok
   def page_came(kind, name) do
     pattern = {{:display, kind, name, :_}, :"$1", :_}
@@ -65,7 +73,7 @@ defmodule Situ.Studio.Headset.Display do
       do: {:ok, %{opts: opts, last: nil}},
       else:
         {:error,
-         Error.new(:bad_color, "#{inspect(opts.color)} is no colour", fix: "give it as #rrggbb")}
+         Error.new(:bad_color, "invalid colour #{inspect(opts.color)}", fix: "give it as #rrggbb")}
   end
 
   @impl true
@@ -77,8 +85,8 @@ defmodule Situ.Studio.Headset.Display do
       {:error, _} ->
         raise Error.new(
                 :drawing_taken,
-                "something is shown as #{inspect(opts.as)} in #{inspect(opts.page)} already",
-                fix: "give this one another as:"
+                "the name #{inspect(opts.as)} is already in use in #{inspect(opts.page)}",
+                fix: "choose a different as:"
               )
     end
   end
@@ -104,7 +112,7 @@ defmodule Situ.Studio.Headset.Display do
          do: send(pid, {:draw, opts.as, frame})
   end
 
-  # The kind, the size of a JSON text, the text, and the scene at a multiple of 8.
+  # Returns the kind, the size of the JSON text, the text, and the scene at a multiple of 8 bytes.
   defp frame(data, opts) do
     {items, problems} =
       Scene.Terms.of(data, %{budget: opts.points, axis: opts.axis, ray: opts.ray})

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Headset.Packet do
   @moduledoc """
-  One moment of a headset, as its page sends it. Little endian:
+  Parses one tracking sample of a headset, as its page sends it. Little endian:
 
   | bytes | holds |
   |---|---|
@@ -32,21 +32,21 @@ defmodule Situ.Studio.Headset.Packet do
   @bones_of [:metacarpal, :phalanx_proximal, :phalanx_intermediate, :phalanx_distal, :tip]
   @thumb [:thumb_metacarpal, :thumb_phalanx_proximal, :thumb_phalanx_distal, :thumb_tip]
   @chains [@thumb | for(f <- @fingers, do: for(b <- @bones_of, do: :"#{f}_#{b}"))]
-  # as WebXR orders them
+  # The order is WebXR's.
   @joints [:wrist | List.flatten(@chains)]
   @bones [
     {:wrist, :palm}
     | Enum.flat_map(@chains, fn chain -> Enum.zip([:wrist | chain], chain) end)
   ]
 
-  @typedoc "A flat surface: its meaning as the headset tells it (may be empty), its outline, the rectangle around that."
+  @typedoc "A flat surface: the headset's label for it (may be empty), its outline, and the bounding rectangle."
   @type plane :: %{label: String.t(), polygon: [Point3.t()], rectangle: Rectangle3.t()}
 
-  @doc "The joints of a hand."
+  @doc "Returns the joints of a hand."
   @spec joints() :: [atom()]
   def joints, do: [:palm | @joints]
 
-  @doc "The page's time, and what came; `:error` for bytes that are no such moment."
+  @doc "Returns the page's time and the parsed values, or `:error` if the bytes are not a valid sample."
   @spec parse(binary()) :: {float(), [{atom(), term()}]} | :error
   def parse(<<4, flags, _::48, ms::little-float-64, rest::binary>>) do
     <<0::1, changed::1, right::1, left::1, planes::1, gaze::1, right_hand::1, left_hand::1>> =
@@ -79,7 +79,7 @@ defmodule Situ.Studio.Headset.Packet do
           {:ok, pose} <- [pose({x, y, z}, {w, i, j, k})],
           do: pose
 
-    # numbers that are none were left out
+    # Poses with NaN, infinite numbers or invalid rotations were left out.
     if length(found) == n, do: {:ok, found, rest}, else: :error
   end
 
@@ -142,7 +142,7 @@ defmodule Situ.Studio.Headset.Packet do
     end
   end
 
-  # A plane's normal is up, a rectangle's is its x axis.
+  # The normal of a plane points up, and the normal of a rectangle is its x axis.
   defp around(pose, corners) do
     {{left, right}, {back, front}} =
       {corners |> Enum.map(&hd/1) |> Enum.min_max(),

@@ -1,9 +1,12 @@
 defmodule Situ.Studio.Layout.Auto do
   @moduledoc """
-  The layout a recording is first shown with, chosen by the kinds of its streams: pictures with their shapes, then
-  sound, states, intervals and labels in lanes, maps of numbers as lines, then signals, those of one group in one panel.
-  Pictures stand beside the timelines; where one is much wider than high, all are above them, the wide one in a row of
-  its own. Pictures of class numbers (`Situ.Studio.Layout.Look`) are coloured, over a camera's picture if there is one.
+  Chooses the layout in which a recording is first shown, by the kinds of its streams. Images with their shapes come
+  first, then audio, then lanes of states, intervals and labels, then maps of numbers as lines, then signals, with one
+  panel per group.
+
+  Images are next to the timelines. If one of them is much wider than high, all images are above the timelines, and the
+  wide one has its own row. Images of class numbers (`Situ.Studio.Layout.Look`) are coloured, and are drawn over a
+  camera image if there is one.
 
       iex> audio = %Situ.Studio.StreamInfo{name: "Mic.Audio", shape: :audio}
       iex> level = %Situ.Studio.StreamInfo{name: "Mic.Level", shape: :signal}
@@ -24,11 +27,11 @@ defmodule Situ.Studio.Layout.Auto do
   @maps 3
   @many 2
 
-  @doc "The name under which it is offered."
+  @doc "Returns the display name of the layout."
   @spec name() :: String.t()
   def name, do: @name
 
-  @doc "The layout of these streams; `looks` tells, by their names, what the pictures of some look like."
+  @doc "Builds the layout of these streams. `looks` describes the images of some streams, by stream name."
   @spec layout([StreamInfo.t()], %{optional(String.t()) => Look.t()}) :: Layout.t()
   def layout(streams, looks \\ %{}) do
     by = Enum.group_by(streams, & &1.shape)
@@ -55,7 +58,7 @@ defmodule Situ.Studio.Layout.Auto do
     for {shape, viz} <- kinds, s <- of.(shape), do: {s, viz}
   end
 
-  # Where there are timelines, too, pictures stand beside them, unless one needs the whole width.
+  # Images are next to several timelines, unless an image needs the whole width.
   defp fit(layout, looks) do
     {cells, timelines} = Enum.split_with(layout.rows, & &1.row)
     wide? = fn cell -> Enum.any?(cell.vis, &Look.wide?(looks[&1.stream])) end
@@ -68,7 +71,7 @@ defmodule Situ.Studio.Layout.Auto do
     end
   end
 
-  # Wide ones in rows of their own, the others side by side.
+  # Wide cells get their own rows; the others are side by side.
   defp above(cells, wide?) do
     {wide, others} = Enum.split_with(cells, wide?)
 
@@ -77,7 +80,7 @@ defmodule Situ.Studio.Layout.Auto do
     |> Enum.flat_map(fn {line, i} -> Enum.map(line, &%{&1 | row: "r#{i}"}) end)
   end
 
-  # Everything in space in one panel, and the frames it is given in.
+  # All spatial streams and their frames of reference share one panel.
   defp space(layout, [], _), do: layout
 
   defp space(layout, streams, frames) do
@@ -94,7 +97,7 @@ defmodule Situ.Studio.Layout.Auto do
     layout
   end
 
-  # All places on one map.
+  # All positions are on one map.
   defp map(layout, streams) do
     {layout, _} =
       Enum.reduce(streams, {layout, ""}, fn s, {layout, id} ->
@@ -105,7 +108,7 @@ defmodule Situ.Studio.Layout.Auto do
     layout
   end
 
-  # Shapes go over the picture whose name shares most of its beginning.
+  # Shapes are drawn over the image whose name has the longest prefix in common.
   defp pictures(layout, [], _), do: layout
 
   defp pictures(layout, pictures, shapes) do
@@ -124,7 +127,7 @@ defmodule Situ.Studio.Layout.Auto do
     end)
   end
 
-  # Numbers of classes go over the camera's picture they belong to; alone they hide nothing.
+  # Class numbers are drawn over the camera image that they belong to. Without one they are opaque.
   defp classes(layout, [], _), do: layout
 
   defp classes(layout, classes, []) do
@@ -132,7 +135,7 @@ defmodule Situ.Studio.Layout.Auto do
     |> Enum.take(@pictures)
     |> Enum.with_index(1)
     |> Enum.reduce(layout, fn {s, i}, layout ->
-      # as a picture, since masks would join the panel before
+      # Added as an image first, because masks would join the previous panel.
       {:ok, layout, id} = Layout.add(layout, s.name, "image", :image, "", row: "r#{i}")
       Layout.update(layout, id, &%{&1 | vis: Enum.map(&1.vis, fn vis -> colored(vis) end)})
     end)
@@ -193,7 +196,7 @@ defmodule Situ.Studio.Layout.Auto do
     layout
   end
 
-  # Something is shown of whatever there is.
+  # Shows the first streams if no other panel was added.
   defp fallback(%Layout{rows: []} = layout, [_ | _] = streams) do
     first = streams |> Enum.sort_by(& &1.name) |> Enum.take(3)
     layout |> cells(first, "value", :value) |> each(first, "messages", :lanes)

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Layout.Look do
   @moduledoc """
-  The looks of a stream's pictures, told from one of them: their shape, and whether their values are numbers of classes
-  (labels of a segmentation) and not shades of grey. As grey they would be nearly black.
+  Determines the look of a stream's images from one of them: their shape, and whether their values are class numbers
+  (labels of a segmentation) rather than shades of grey. Drawn in grey, class numbers would be nearly black.
 
       iex> picture = Situ.Image.filled(400, 100, :rgb24, [1, 2, 3])
       iex> look = Situ.Studio.Layout.Look.of(picture)
@@ -19,16 +19,16 @@ defmodule Situ.Studio.Layout.Look do
 
   @type t :: %__MODULE__{width: pos_integer(), height: pos_integer(), classes: boolean()}
 
-  # So many streams are looked at.
+  # The maximum number of streams to examine.
   @most 6
-  # From this width on, in heights, a picture needs the whole window's.
+  # An image with at least this ratio of width to height needs the full width of the window.
   @wide 2.2
-  # Numbers of classes are small, and what lies side by side is mostly of one class; a dark picture has noise.
+  # Class numbers are small, and neighbouring pixels mostly have the same class, whereas a dark image has noise.
   @classes 64
   @same 0.85
   @pixels 4_194_304
 
-  @doc "The looks of the streams of pictures of a source, by their names; of none that cannot be read."
+  @doc "Determines the looks of a source's image streams, by stream name. Streams that cannot be read are left out."
   @spec all(Source.t(), [StreamInfo.t()]) :: %{optional(String.t()) => t()}
   def all(source, streams) do
     pictures = for %{shape: :image, first: first} = s <- streams, first != nil, do: s
@@ -40,13 +40,13 @@ defmodule Situ.Studio.Layout.Look do
         do: {s.name, look}
   end
 
-  @doc "Of one picture; `nil` of anything else."
+  @doc "Determines the look of one image. Returns `nil` for anything else."
   @spec of(term()) :: t() | nil
   def of(%Image{width: w, height: h} = image), do: sized(w, h, classes?(image))
   def of(%EncodedImage{width: w, height: h}), do: sized(w, h, false)
   def of(_), do: nil
 
-  @doc "Whether it is much wider than high."
+  @doc "Returns whether the image is much wider than high."
   @spec wide?(t() | nil) :: boolean()
   def wide?(nil), do: false
   def wide?(%__MODULE__{width: w, height: h}), do: w >= @wide * h
@@ -68,7 +68,7 @@ defmodule Situ.Studio.Layout.Look do
 
   defp classes?(_), do: false
 
-  # How many are as the one before; a value that is no class ends it.
+  # Counts the pixels that equal their predecessor, and stops at a value that cannot be a class number.
   defp neighbours(_, v, _) when v >= @classes, do: :no
   defp neighbours(<<v, rest::binary>>, v, same), do: neighbours(rest, v, same + 1)
   defp neighbours(<<v, rest::binary>>, _, same), do: neighbours(rest, v, same)

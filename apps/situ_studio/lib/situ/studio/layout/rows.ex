@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Layout.Rows do
   @moduledoc false
-  # The order of a layout's panels: lines from top to bottom, of cells the ones of a line from left to right. Pure.
+  # Orders a layout's panels: rows from top to bottom, and the cells of a row from left to right. Pure.
   alias Situ.Error
   alias Situ.Studio.Layout.Panel
 
@@ -10,15 +10,15 @@ defmodule Situ.Studio.Layout.Rows do
 
   @max_cells 5
 
-  @doc "The id of a panel's line."
+  @doc "Returns the id of a panel's row."
   @spec id(Panel.t()) :: String.t()
   def id(%Panel{row: row, id: id}), do: row || id
 
-  @doc "Panels side by side are one line."
+  @doc "Groups panels that are side by side into rows."
   @spec lines([Panel.t()]) :: [[Panel.t(), ...]]
   def lines(panels), do: Enum.chunk_by(panels, &id/1)
 
-  @doc "A new panel: cells stand together and above the timelines."
+  @doc "Inserts a new panel. Cells stay together, above the timelines."
   @spec insert([Panel.t()], Panel.t()) :: [Panel.t()]
   def insert(panels, %Panel{row: nil} = panel), do: panels ++ [panel]
 
@@ -34,7 +34,7 @@ defmodule Situ.Studio.Layout.Rows do
     end
   end
 
-  @doc "The name of a row of cells that there is not yet."
+  @doc "Returns an unused name for a row of cells."
   @spec free([Panel.t()]) :: String.t()
   def free(panels) do
     taken = MapSet.new(panels, & &1.row)
@@ -95,7 +95,7 @@ defmodule Situ.Studio.Layout.Rows do
     if at, do: shift(panels, lines, at, id, way), else: {:ok, panels}
   end
 
-  # A line as a whole, or a cell out of its line.
+  # Moves a whole row, or a cell out of its row.
   defp shift(panels, lines, at, id, way) when way in [:up, :down] do
     {by, side} = if way == :up, do: {-1, :above}, else: {1, :below}
 
@@ -105,7 +105,7 @@ defmodule Situ.Studio.Layout.Rows do
     end
   end
 
-  # Past its neighbour; from the end of a line of cells into the next line of cells.
+  # Moves a panel past its neighbour, or from the end of a row of cells into the next row of cells.
   defp shift(panels, lines, at, id, way) do
     line = Enum.at(lines, at)
     step = if way == :left, do: -1, else: 1

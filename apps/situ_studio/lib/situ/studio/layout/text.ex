@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Layout.Text do
   @moduledoc false
-  # Layouts as JSON text, for files and addresses. The text may come from anybody.
+  # Converts layouts to and from JSON text, for files and addresses. The text is untrusted.
   alias Situ.Error
   alias Situ.Studio.{Layout, WholeNumber}
   alias Situ.Studio.Layout.{Panel, Vis}
@@ -23,7 +23,7 @@ defmodule Situ.Studio.Layout.Text do
     doc |> put("compared", compared_json(layout.compared)) |> Situ.JSON.pretty()
   end
 
-  # The shift as text: other programs' numbers are not exact that far from zero.
+  # The offset is a string, because other programs do not keep integers of this size exact.
   defp compared_json({id, offset}), do: %{"with" => id, "offset" => Integer.to_string(offset)}
   defp compared_json(nil), do: nil
 
@@ -57,10 +57,10 @@ defmodule Situ.Studio.Layout.Text do
                 %{layout | beside: doc["beside"] == true, compared: compared(doc["compared"])}}
 
       {:ok, %{"version" => version}} when version != @version ->
-        bad("it is of version #{inspect(version)}, this studio reads #{@version}")
+        bad("it has version #{inspect(version)}, but this studio reads #{@version}")
 
       {:ok, _} ->
-        bad("it must hold \"version\", \"name\" and \"panels\"")
+        bad("it must contain \"version\", \"name\" and \"panels\"")
 
       {:error, :bad_json} ->
         bad("it is not JSON")
@@ -88,7 +88,7 @@ defmodule Situ.Studio.Layout.Text do
         bad("two panels have the id #{id}")
 
       i ->
-        bad("panel #{i + 1} is not one")
+        bad("panel #{i + 1} is invalid")
     end
   end
 
@@ -155,7 +155,7 @@ defmodule Situ.Studio.Layout.Text do
   defp bad(why) do
     {:error,
      Error.new(:bad_layout, "this file is not a layout: #{why}",
-       fix: "open another, or save this view under a new name"
+       fix: "open a different file, or save this view under a new name"
      )}
   end
 end

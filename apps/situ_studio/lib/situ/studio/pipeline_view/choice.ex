@@ -1,12 +1,11 @@
 defmodule Situ.Studio.PipelineView.Choice do
   @moduledoc false
-  # The shown part of a pipeline's graph, as its page's address holds it: `heat`, `mark`, `way`, `fold`, `sel`, `plots`,
-  # `at`. Pure.
-  # An address may come from anybody: unknown parts of it are left out.
+  # Reads and writes the address of a pipeline's graph page, which contains the view: `heat`, `mark`, `way`, `fold`,
+  # `sel`, `plots`, `at`. Pure. An address is untrusted, so unknown parts are ignored.
   alias Situ.Studio.PipelineView.{Marking, Stats}
   alias Situ.Studio.Web.Address
 
-  @doc "The choices in an address, as assigns; `scopes` are the pipeline's composites."
+  @doc "Parses the choices in an address into assigns. `scopes` are the pipeline's composites."
   @spec read(map(), [String.t()]) :: keyword()
   def read(params, scopes) do
     heat(params["heat"]) ++
@@ -41,17 +40,17 @@ defmodule Situ.Studio.PipelineView.Choice do
 
   defp plots(_), do: []
 
-  @doc "Folded composites as the address names them."
+  @doc "Encodes the folded composites for the address."
   @spec folds(Enumerable.t()) :: String.t()
   def folds(paths), do: paths |> Enum.sort() |> Enum.join("|")
 
-  @doc "The same, with one folded or unfolded."
+  @doc "Folds or unfolds one composite, and encodes the result for the address."
   @spec toggle(MapSet.t(String.t()), String.t()) :: String.t()
   def toggle(folded, path) do
     folds(if path in folded, do: MapSet.delete(folded, path), else: MapSet.put(folded, path))
   end
 
-  @doc "The address of what these assigns show, with some of it changed."
+  @doc "Builds the address of the view in `assigns` with some changes."
   @spec address(map(), map()) :: String.t()
   def address(assigns, changes) do
     now =

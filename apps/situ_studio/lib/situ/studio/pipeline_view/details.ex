@@ -1,13 +1,14 @@
 defmodule Situ.Studio.PipelineView.Details do
   @moduledoc false
-  # The right side: what is selected, in words, numbers, plots and last messages; else what stands out.
+  # Renders the right sidebar: text, statistics, plots and the last messages of the selection. Without a selection it
+  # lists waiting producers and the highest values.
   use Situ.Live.Component
   alias Situ.Studio.PipelineView.{Stats, Waits, Wire}
 
   @edge_plots ["queue", "processed_rate", "latency_mean"]
   @node_plots ["mailbox", "memory", "reductions_rate"]
 
-  @doc "The statistics that are plotted: those chosen that fit the selection, else a few."
+  @doc "Returns the statistics to plot: the chosen ones that fit the selection, or a few defaults."
   @spec plots(map()) :: [String.t()]
   def plots(%{selected: selected, plots: chosen}) do
     {kind, few} =
@@ -23,7 +24,7 @@ defmodule Situ.Studio.PipelineView.Details do
     end
   end
 
-  @doc "The stream whose messages run over the selected connection."
+  @doc "Returns the stream whose messages are sent over the selected connection."
   @spec stream(Situ.Diagnostics.Snapshot.t(), String.t() | nil) :: String.t() | nil
   def stream(snapshot, "e" <> _ = key) do
     {:edges, ids} = Wire.selection(key, MapSet.new(), snapshot)
@@ -68,7 +69,7 @@ defmodule Situ.Studio.PipelineView.Details do
     <div class="side-title">Pipeline</div>
     <div class="props">
       <h2>{@snapshot.pipeline}</h2>
-      <p class="hint">Click a component or a connection for its numbers.</p>
+        <p class="hint">Click a component or a connection to see its statistics.</p>
       <div :if={@waits != []} class="worst waits">
         <h3>Who waits for whom</h3>
         <button :for={w <- @waits} class="row-button" type="button" phx-click="pick" phx-value-key={"e#{w.edge}"}
@@ -90,7 +91,7 @@ defmodule Situ.Studio.PipelineView.Details do
     end
   end
 
-  # The things the colours point at, as a list.
+  # Lists the objects with the highest values of the statistic that the graph is coloured by.
   defp worst(%{heat: heat, snapshot: snapshot, sample: sample}) do
     paths = Map.new(snapshot.nodes, &{&1.id, &1.path})
 
@@ -142,7 +143,7 @@ defmodule Situ.Studio.PipelineView.Details do
       </div>
       <p :for={w <- @waits} class="wait">{w.who} waits for {w.input}: {w.why}.</p>
       <h3>Last messages</h3>
-      <p :if={@messages == []} class="hint">No message has come yet, or none is kept.</p>
+      <p :if={@messages == []} class="hint">No message has arrived yet, or none was kept.</p>
       <ol class="messages">
         <li :for={m <- @messages} :key={m.originating_time} id={"at-#{m.originating_time}"}><button
             :if={@live} type="button" class="linkish"
@@ -198,7 +199,7 @@ defmodule Situ.Studio.PipelineView.Details do
       <dl :for={p <- Enum.take(@processes, 4)}>
         <dt>Process</dt><dd>{p.number}: {p.status}</dd>
         <dt>In</dt><dd><code>{p.busy_in}</code></dd>
-        <dt>Reductions in all</dt><dd>{p.reductions}</dd>
+        <dt>Total reductions</dt><dd>{p.reductions}</dd>
         <dt :if={length(p.nodes) > 1}>Shared by</dt>
         <dd :if={length(p.nodes) > 1}>{Enum.join(p.nodes, ", ")}</dd>
       </dl>
@@ -244,11 +245,11 @@ defmodule Situ.Studio.PipelineView.Details do
 
   defp clock(ns), do: ns |> Situ.Time.to_iso8601() |> String.slice(11, 12)
 
-  # Messages may be large: what is shown is bounded before it becomes text.
+  # Messages may be large, so their size is bounded before they become text.
   defp short(data),
     do: data |> inspect(limit: 12, printable_limit: 160, width: 80) |> String.slice(0, 400)
 
-  # "Operator, operator" says it twice.
+  # Avoids repetitions such as "Operator, operator".
   defp what(%{module: module, kind: kind}) do
     if String.downcase(to_string(module)) == to_string(kind),
       do: to_string(module),

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.PipelineView.Feed do
   @moduledoc false
-  # Where snapshots come from: a running pipeline (a source module with `snapshot/1`), or a stream of them in a
-  # recording.
+  # Provides snapshots of a pipeline: from a running pipeline (a source module with `snapshot/1`), or from a stream of
+  # snapshots in a recording.
   alias Situ.{Error, Message}
   alias Situ.Diagnostics.{Edge, Node, Snapshot, Trace, Window}
   alias Situ.Studio.Source
@@ -9,7 +9,7 @@ defmodule Situ.Studio.PipelineView.Feed do
   @type t :: {:live, Source.t()} | {:recorded, Source.t(), stream :: String.t()}
 
   @spec open(Source.t()) :: {:ok, t()} | {:error, Error.t()}
-  # a page's derived streams are none of a pipeline's
+  # A page's derived streams do not belong to the pipeline.
   def open({Source.Derived, %{source: source}}), do: open(source)
 
   def open({module, _handle} = source) do
@@ -18,7 +18,7 @@ defmodule Situ.Studio.PipelineView.Feed do
       else: recorded(source)
   end
 
-  # A reader makes no atoms: those of the structs must be there before.
+  # A reader creates no atoms, so the atoms of these structs must exist before.
   @structs [Snapshot, Node, Edge, Window, Situ.Diagnostics.Process]
 
   defp recorded(source) do
@@ -28,7 +28,7 @@ defmodule Situ.Studio.PipelineView.Feed do
       case Enum.find(streams, &diagnostics?(source, &1)) do
         nil ->
           {:error,
-           Error.new(:no_diagnostics, "this recording holds no diagnostics of a pipeline",
+           Error.new(:no_diagnostics, "this recording does not contain diagnostics of a pipeline",
              fix: "run the pipeline with diagnostics: true and write its Diagnostics stream"
            )}
 
@@ -38,7 +38,7 @@ defmodule Situ.Studio.PipelineView.Feed do
     end
   end
 
-  # By its type where that is known, else by looking at a message of one that is called so.
+  # Recognizes a diagnostics stream by its type or, if the type is unknown, by its name and its last message.
   defp diagnostics?(source, info) do
     type = to_string(info.type)
 
@@ -50,7 +50,7 @@ defmodule Situ.Studio.PipelineView.Feed do
          ))
   end
 
-  @doc "Now (live, or the newest recorded): the snapshot and when it was taken."
+  @doc "Fetches the current snapshot (live, or the newest recorded one) and its time."
   @spec now(t()) :: {:ok, Snapshot.t(), Situ.Time.t()} | {:error, Error.t()}
   def now({:live, source}) do
     with {:ok, %Snapshot{} = snapshot} <- Source.call(source, :snapshot, []),
@@ -61,7 +61,7 @@ defmodule Situ.Studio.PipelineView.Feed do
     with {:ok, extent} <- Source.call(source, :extent, []), do: at(feed, extent.to)
   end
 
-  @doc "Where the message of one originating time is in a running pipeline, without the studio's own taps."
+  @doc "Traces the message of one originating time in a running pipeline, leaving out the studio's own taps."
   @spec trace(t(), Situ.Time.t()) :: {:ok, Trace.t()} | {:error, Error.t()}
   def trace({:live, source}, time) do
     with {:ok, %Trace{} = trace} <- Source.call(source, :trace, [time]) do
@@ -77,9 +77,9 @@ defmodule Situ.Studio.PipelineView.Feed do
   end
 
   def trace(_recorded, _time),
-    do: {:error, Error.new(:not_running, "only a running pipeline can be asked")}
+    do: {:error, Error.new(:not_running, "only a running pipeline can be traced")}
 
-  # The studio's own taps are no part of the pipeline.
+  # The studio's own taps are not part of the pipeline.
   @spec without_taps(Snapshot.t()) :: Snapshot.t()
   def without_taps(snapshot) do
     taps = for %{kind: :tap, path: "Studio: " <> _, id: id} <- snapshot.nodes, do: id
@@ -91,7 +91,7 @@ defmodule Situ.Studio.PipelineView.Feed do
     }
   end
 
-  @doc "The last recorded snapshot at or before a time."
+  @doc "Fetches the last recorded snapshot at or before a time."
   @spec at(t(), Situ.Time.t()) :: {:ok, Snapshot.t(), Situ.Time.t()} | {:error, Error.t()}
   def at({:recorded, source, stream}, time) do
     case Source.call(source, :latest_at, [stream, time]) do
@@ -102,15 +102,15 @@ defmodule Situ.Studio.PipelineView.Feed do
         {:error, error}
 
       _ ->
-        {:error, Error.new(:no_diagnostics, "there is no snapshot at that time")}
+        {:error, Error.new(:no_diagnostics, "no snapshot was recorded at or before that time")}
     end
   end
 
-  # A recording may have been made when there were fewer numbers to an edge.
+  # Edges in older recordings may lack newer fields.
   defp today(snapshot),
     do: %{snapshot | edges: Enum.map(snapshot.edges, &struct(Edge, Map.delete(&1, :__struct__)))}
 
-  @doc "The times of at most `limit` recorded snapshots, evenly thinned."
+  @doc "Lists the times of at most `limit` recorded snapshots, evenly thinned."
   @spec times(t(), pos_integer()) :: [Situ.Time.t()]
   def times({:recorded, source, stream}, limit) do
     with {:ok, %{from: from, to: to}} <- Source.call(source, :extent, []),
@@ -123,7 +123,7 @@ defmodule Situ.Studio.PipelineView.Feed do
 
   def times(_, _), do: []
 
-  @doc "The last messages of a stream up to a time (`:now` when live), newest first; looked at on demand only."
+  @doc "Lists the last messages of a stream up to a time (`:now` if live), newest first. Reads them only on demand."
   @spec messages(t(), String.t(), Situ.Time.t() | :now, pos_integer()) :: [Message.t()]
   def messages(feed, stream, time, n) do
     source = elem(feed, 1)

@@ -1,10 +1,11 @@
 defmodule Situ.Studio.PipelineView.Fold do
   @moduledoc """
-  The graph of a pipeline with some of its composites folded: a folded one is a single box without its components, and
-  the connections that cross its border end at the box, several between two ends as one.
+  Builds the graph of a pipeline with some of its composites folded. A folded composite is a single box without its
+  components. Connections that cross its border end at the box, and several connections between the same two ends are
+  merged.
 
-  Keys are what the page calls things: `"n3"` a component, `"s:Mouth.Crop"` a composite, `"e5"` a connection (`"e5+7"`
-  several).
+  The page identifies objects by keys: `"n3"` is a component, `"s:Mouth.Crop"` a composite, `"e5"` a connection and
+  `"e5+7"` several connections.
   """
   alias Situ.Diagnostics.Snapshot
 
@@ -18,10 +19,10 @@ defmodule Situ.Studio.PipelineView.Fold do
           edges: [map()]
         }
 
-  # Above this many components composites start out folded.
+  # If a pipeline has more components than this, its composites start out folded.
   @many 40
 
-  @doc "The composites that are folded unless someone chose."
+  @doc "Returns the composites that are folded by default."
   @spec default(Snapshot.t()) :: MapSet.t(String.t())
   def default(%Snapshot{nodes: nodes, scopes: scopes}) do
     if length(nodes) > @many,
@@ -29,7 +30,7 @@ defmodule Situ.Studio.PipelineView.Fold do
       else: MapSet.new()
   end
 
-  @doc "The graph with these composites folded."
+  @doc "Builds the graph with these composites folded."
   @spec apply(Snapshot.t(), MapSet.t(String.t())) :: t()
   def apply(%Snapshot{} = snapshot, folded) do
     scopes = snapshot.scopes
@@ -64,7 +65,7 @@ defmodule Situ.Studio.PipelineView.Fold do
     end
   end
 
-  # The outermost folded composite around (or at) a scope.
+  # Returns the outermost folded composite around (or at) a scope.
   defp outer(nil, _, _), do: nil
 
   defp outer(scope, scopes, folded) do
@@ -74,7 +75,7 @@ defmodule Situ.Studio.PipelineView.Fold do
     end
   end
 
-  # Names may hold dots: the parent is the longest scope that this one's path begins with.
+  # Names may contain dots, so the parent is the longest scope that this scope's path begins with.
   defp parent(scope, scopes) do
     scopes
     |> Enum.filter(&String.starts_with?(scope, &1 <> "."))
@@ -136,7 +137,7 @@ defmodule Situ.Studio.PipelineView.Fold do
     |> Enum.sort_by(& &1.ids)
   end
 
-  # Between two components each connection is drawn; what meets at a folded box is one.
+  # Connections between two components are drawn separately; connections to a folded box are merged.
   defp group(edge, "n" <> _, "n" <> _), do: edge.id
   defp group(_edge, from, to), do: {from, to}
 
@@ -146,7 +147,7 @@ defmodule Situ.Studio.PipelineView.Fold do
   defp policy(edges), do: edges |> Enum.map(& &1.policy) |> Enum.uniq() |> Enum.join(", ")
 
   @doc """
-  Whether a connection may drop messages.
+  Returns whether a connection may drop messages.
 
       iex> alias Situ.Studio.PipelineView.Fold
       iex> for policy <- ["unlimited", "throttle(8)", "latest"], do: Fold.lossy?(%{policy: policy})

@@ -1,14 +1,14 @@
 defmodule Situ.Studio.PipelineView.Marking do
   @moduledoc """
-  Connections that are highlighted in a pipeline's graph, the others being faded: those of one delivery policy, or those
-  whose producer waits. Pure.
+  Decides which connections are highlighted in a pipeline's graph: connections with one delivery policy, or connections
+  whose producer waits. All others are faded. Pure.
 
       iex> alias Situ.Studio.PipelineView.Marking
       iex> for mark <- ["none", "throttle", "latest", "waits"], do: Marking.faded?(mark, "throttle(8)", true)
       [false, false, true, false]
   """
 
-  # As `Situ.Delivery.name/1` tells them.
+  # The keys are the names that `Situ.Delivery.name/1` returns.
   @choices [
     {"none", "nothing"},
     {"unlimited", "unlimited"},
@@ -26,15 +26,15 @@ defmodule Situ.Studio.PipelineView.Marking do
     {"BT", "bottom to top"}
   ]
 
-  @doc "All that can be highlighted, with its name."
+  @doc "Lists the ways to highlight connections, with their display names."
   @spec choices() :: [{String.t(), String.t()}]
   def choices, do: @choices
 
-  @doc "The ways a graph can run."
+  @doc "Lists the directions in which the graph can be laid out."
   @spec directions() :: [{String.t(), String.t()}]
   def directions, do: @directions
 
-  @doc "Whether a connection is not among those that are highlighted; one drawn for several has all their policies."
+  @doc "Returns whether a connection is faded. A connection that is drawn for several has all their policies."
   @spec faded?(String.t(), String.t() | nil, boolean()) :: boolean()
   def faded?("none", _policy, _waits?), do: false
   def faded?("waits", _policy, waits?), do: not waits?

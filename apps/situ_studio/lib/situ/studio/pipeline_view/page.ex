@@ -1,6 +1,6 @@
 defmodule Situ.Studio.PipelineView.Page do
   @moduledoc false
-  # The page of a pipeline's graph: toolbar, graph, moments of a recording, details, status line.
+  # Renders the page of a pipeline's graph: toolbar, graph, slider of recorded moments, details and status line.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
 
@@ -74,7 +74,7 @@ defmodule Situ.Studio.PipelineView.Page do
   end
 
   defp state(true, _), do: "running now"
-  defp state(false, {:live, _}), do: "ended: this is the last of it"
+  defp state(false, {:live, _}), do: "ended: showing the last state"
   defp state(false, _), do: "recorded"
 
   defp moment(moments, at), do: max(0, Enum.count(moments, &(&1 <= at)) - 1)

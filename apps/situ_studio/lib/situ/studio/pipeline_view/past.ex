@@ -1,8 +1,8 @@
 defmodule Situ.Studio.PipelineView.Past do
   @moduledoc false
-  # The past of the studio's pipelines before anybody looked: their statistics once a second for the last five minutes,
-  # every ten
-  # seconds for the last hour. One process a studio writes them; pages read the table.
+  # Keeps the statistics of the studio's pipelines, so that a page can show them from before it was opened: once a
+  # second for the last five minutes, and every ten seconds for the last hour. One process per studio writes them; pages
+  # read the table.
   use GenServer
 
   alias Situ.Studio.PipelineView.{Feed, Stats}
@@ -12,14 +12,15 @@ defmodule Situ.Studio.PipelineView.Past do
   @fine 300_000_000_000
   @coarse 3_600_000_000_000
   @every 10
-  # Most a pipeline's past may weigh; a pipeline of fifty components takes about 5 kB a moment.
+  # The maximum size of a pipeline's samples. A pipeline of fifty components takes about 5 kB per sample.
   @max_bytes 16_000_000
 
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
 
   @doc """
-  The samples of the pipeline called `title` in the studio `id`, newest first; times are the VM's monotonic clock.
+  Lists the samples of the pipeline called `title` in the studio `id`, newest first. Times are from the VM's monotonic
+  clock.
   """
   @spec samples(String.t(), String.t()) :: [Stats.sample()]
   def samples(id, title) do
@@ -28,11 +29,11 @@ defmodule Situ.Studio.PipelineView.Past do
       [] -> []
     end
   rescue
-    # the table went with its process
+    # The table was deleted with its process.
     ArgumentError -> []
   end
 
-  # {{title, number}, time, bytes, sample}, newest first
+  # Returns `{{title, number}, time, bytes, sample}`, newest first.
   defp rows(table, title),
     do: :ets.select_reverse(table, [{{{title, :_}, :_, :_, :_}, [], [:"$_"]}])
 

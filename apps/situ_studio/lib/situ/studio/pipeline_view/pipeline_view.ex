@@ -1,13 +1,12 @@
 defmodule Situ.Studio.PipelineView do
   @moduledoc """
-  The page of a pipeline's graph: components, composites that fold, connections with their policies, coloured by any
-  statistic of `Situ.Studio.PipelineView.Stats`; a click shows an object's figures on the right, with plots of its
-  past.
+  The page of a pipeline's graph. It shows components, composites that can be folded, and connections with their
+  policies, coloured by any statistic of `Situ.Studio.PipelineView.Stats`. A click shows an object's statistics on the
+  right, with plots of their history.
 
-  Of a running pipeline it shows now, twice a second, and the hour before the page was opened; of a recording, the
-  moment
-  chosen below the graph. The address holds
-  what is shown: `heat`, `mark`, `way`, `fold`, `sel`, `plots`, `at`.
+  For a running pipeline the page shows the current state, updated twice a second, and the hour before the page was
+  opened. For a recording it shows the moment chosen below the graph. The address contains the view: `heat`, `mark`,
+  `way`, `fold`, `sel`, `plots`, `at`.
   """
   use Situ.Live.View
 
@@ -15,7 +14,7 @@ defmodule Situ.Studio.PipelineView do
   alias Situ.Studio.PipelineView.{Choice, Details, Feed, Fold, Page, Past, Stats, Tracing, Wire}
 
   @tick_ms 500
-  # The last hour of a running pipeline and ten minutes while the page is open, or as many moments of a recording.
+  # The number of samples kept for the plots; an open page adds 1,200 samples in ten minutes.
   @kept 1_200
   @recorded 400
   @messages 8
@@ -93,7 +92,7 @@ defmodule Situ.Studio.PipelineView do
     {:noreply, socket |> at(params["at"]) |> look() |> draw()}
   end
 
-  # Of a recording, the moment asked for.
+  # Shows the requested moment of a recording.
   defp at(%{assigns: %{live: false}} = socket, text) when is_binary(text) do
     with {time, ""} <- Integer.parse(text),
          {:ok, snapshot, taken} <- Feed.at(socket.assigns.feed, time) do
@@ -108,7 +107,7 @@ defmodule Situ.Studio.PipelineView do
   defp go(socket, changes),
     do: push_patch(socket, to: Choice.address(socket.assigns, changes), replace: true)
 
-  # -- what the page asks
+  # -- events from the page
 
   @impl true
   def handle_event(_, _, %{assigns: %{error: %{}}} = socket), do: {:noreply, socket}
@@ -161,7 +160,7 @@ defmodule Situ.Studio.PipelineView do
 
   def handle_event(_, _, socket), do: {:noreply, socket}
 
-  # -- time goes on
+  # -- updates
 
   @impl true
   def handle_info(:tick, socket) do
@@ -173,13 +172,13 @@ defmodule Situ.Studio.PipelineView do
         socket = assign(socket, trace: Tracing.again(a.feed, a.trace), alerts: alerts)
         {:noreply, socket |> observe(snapshot, taken) |> look() |> draw() |> point()}
 
-      # It has ended: what it was last stays on the page.
+      # The pipeline has ended. The page keeps showing its last state.
       {:error, _} ->
         {:noreply, assign(socket, live: false)}
     end
   end
 
-  # A recording's past is read bit by bit, so that the page answers meanwhile.
+  # A recording's history is read in steps, so that the page stays responsive.
   def handle_info({:past, [], _}, socket), do: {:noreply, series(socket)}
 
   def handle_info({:past, times, earlier}, socket) do
@@ -221,7 +220,7 @@ defmodule Situ.Studio.PipelineView do
   defp earlier(%{snapshot: nil}, _), do: nil
   defp earlier(%{live: true} = a, _taken), do: {a.snapshot, a.taken}
 
-  # The recorded moment before this one.
+  # Fetches the recorded snapshot before this one.
   defp earlier(a, taken) do
     case Feed.at(a.feed, taken - 1) do
       {:ok, snapshot, time} -> {snapshot, time}
@@ -229,7 +228,7 @@ defmodule Situ.Studio.PipelineView do
     end
   end
 
-  # The last messages of the connection that is selected.
+  # Loads the last messages of the selected connection.
   defp look(socket) do
     a = socket.assigns
 
@@ -243,7 +242,7 @@ defmodule Situ.Studio.PipelineView do
     end
   end
 
-  # -- to the page's hooks
+  # -- events to the page's hooks
 
   defp draw(socket) do
     a = socket.assigns

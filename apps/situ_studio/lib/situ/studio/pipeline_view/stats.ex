@@ -1,10 +1,10 @@
 defmodule Situ.Studio.PipelineView.Stats do
   @moduledoc """
-  The statistics of a running pipeline that can be coloured by and plotted: one table.
+  The statistics of a running pipeline that can be plotted or used to colour the graph.
 
-  Rates come from two snapshots (`Situ.Diagnostics.Snapshot`) and the time between them, everything else from one.
-  Means and
-  what is called recent are of the pipeline's last averaging span; while nothing moves, means are of all there was.
+  Rates are computed from two snapshots (`Situ.Diagnostics.Snapshot`) and the time between them, everything else from
+  one. Means and recent values cover the pipeline's last averaging span. If no messages were processed in that span,
+  means cover the whole run.
 
       iex> Situ.Studio.PipelineView.Stats.format("latency_mean", 12.3456)
       "12.3 ms"
@@ -13,7 +13,7 @@ defmodule Situ.Studio.PipelineView.Stats do
   """
   alias Situ.Diagnostics.Snapshot
 
-  # id, what it belongs to, name for people, unit, and how several edges of one drawn edge add up
+  # id, kind of object, display name, unit, and how to combine the values of several edges drawn as one
   @table [
     {"queue", :edge, "Queue", :count, :sum},
     {"queue_mean", :edge, "Queue, mean", :count, :sum},
@@ -35,11 +35,11 @@ defmodule Situ.Studio.PipelineView.Stats do
     {"dropped_recent", :edge, "Dropped, recent", :count, :sum},
     {"processed_now", :edge, "Processed, recent share", :percent, :max},
     {"dropped_now", :edge, "Dropped, recent share", :percent, :max},
-    {"emitted", :edge, "Emitted in all", :count, :sum},
-    {"processed", :edge, "Processed in all", :count, :sum},
-    {"dropped", :edge, "Dropped in all", :count, :sum},
-    {"processed_share", :edge, "Processed, share in all", :percent, :max},
-    {"dropped_share", :edge, "Dropped, share in all", :percent, :max},
+    {"emitted", :edge, "Emitted, total", :count, :sum},
+    {"processed", :edge, "Processed, total", :count, :sum},
+    {"dropped", :edge, "Dropped, total", :count, :sum},
+    {"processed_share", :edge, "Processed, total share", :percent, :max},
+    {"dropped_share", :edge, "Dropped, total share", :percent, :max},
     {"size_mean", :edge, "Message size, mean", :bytes, :max},
     {"size_last", :edge, "Message size, last", :bytes, :max},
     {"throttled", :edge, "Producer waits", :count, :max},
@@ -62,20 +62,20 @@ defmodule Situ.Studio.PipelineView.Stats do
           nodes: %{pos_integer() => values()}
         }
 
-  @doc "The statistics of edges or of nodes, in the table's order: `%{id, of, name, unit, sum}`."
+  @doc "Lists the statistics of edges or of nodes, in the table's order: `%{id, of, name, unit, sum}`."
   @spec of(:edge | :node) :: [map()]
   def of(kind), do: for({id, ^kind, _, _, _} <- @table, do: @by_id[id])
 
-  @doc "One row of the table."
+  @doc "Fetches one row of the table."
   @spec fetch(id()) :: {:ok, map()} | :error
   def fetch(id), do: Map.fetch(@by_id, id)
 
-  @doc "How warm a value is shown, before it is divided by the largest: sizes differ by orders of magnitude."
+  @doc "Returns the value that determines a colour. Sizes are logarithmic, because they differ by orders of magnitude."
   @spec warmth(id(), number()) :: number()
   def warmth("size_" <> _, bytes), do: :math.log(1 + bytes)
   def warmth(_id, value), do: value
 
-  @doc "The numbers of a snapshot taken at `at` (ns); without an earlier one all rates are 0."
+  @doc "Computes the statistics of a snapshot taken at `at` (ns). Without an earlier snapshot all rates are 0."
   @spec sample(Snapshot.t(), Situ.Time.t(), {Snapshot.t(), Situ.Time.t()} | nil) :: sample()
   def sample(%Snapshot{} = snapshot, at, earlier) do
     {edges, processes, seconds} = before(earlier, at)
@@ -123,7 +123,7 @@ defmodule Situ.Studio.PipelineView.Stats do
     }
   end
 
-  # While nothing moves the mean of all is the best there is.
+  # If no messages were processed recently, the overall mean is the best estimate.
   defp recent(edge, window) do
     %{
       "queue_mean" => window.queue || edge.queue_mean,
@@ -162,7 +162,7 @@ defmodule Situ.Studio.PipelineView.Stats do
     }
   end
 
-  # A process that started again counts from nothing.
+  # The count of a restarted process starts at zero.
   defp reductions(%{reductions: now}, %{reductions: before}, seconds) when now >= before,
     do: rate(now - before, seconds)
 
@@ -174,7 +174,7 @@ defmodule Situ.Studio.PipelineView.Stats do
   defp share(_, whole) when whole <= 0, do: 0.0
   defp share(part, whole), do: min(100.0, max(part, 0) * 100 / whole)
 
-  @doc "The numbers of several edges (or nodes) drawn as one."
+  @doc "Combines the statistics of several edges (or nodes) that are drawn as one."
   @spec merge([values()]) :: values()
   def merge([one]), do: one
   def merge([]), do: %{}
@@ -188,7 +188,7 @@ defmodule Situ.Studio.PipelineView.Stats do
     end
   end
 
-  @doc "A value with its unit, short."
+  @doc "Formats a value with its unit."
   @spec format(id(), number() | nil) :: String.t()
   def format(_id, nil), do: "–"
 

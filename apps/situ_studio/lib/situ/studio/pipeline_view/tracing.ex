@@ -1,7 +1,7 @@
 defmodule Situ.Studio.PipelineView.Tracing do
   @moduledoc false
-  # The way of one originating time through a running pipeline: asked for beside a message, or typed; followed until it
-  # has passed everywhere.
+  # Traces one originating time through a running pipeline. The user chooses it next to a message or types it; the trace
+  # is updated until the time has passed everywhere.
   use Situ.Live.Component
 
   alias Situ.Diagnostics.Trace
@@ -9,7 +9,7 @@ defmodule Situ.Studio.PipelineView.Tracing do
   alias Situ.Studio.WholeNumber
 
   @doc """
-  The trace of a time as the page gives it: in ns, as ISO 8601, or as a clock time (UTC) of the day of `now`.
+  Traces a time given by the page: in ns, as ISO 8601, or as a clock time (UTC) on the day of `now`.
   """
   @spec of(Feed.t(), term(), Situ.Time.t()) :: {:ok, Trace.t()} | {:error, Situ.Error.t()}
   def of(feed, text, now) do
@@ -29,7 +29,7 @@ defmodule Situ.Studio.PipelineView.Tracing do
 
   defp day(now), do: now |> Situ.Time.to_iso8601() |> String.slice(0, 11)
 
-  @doc "The same a moment later, unless all is known."
+  @doc "Updates a trace, unless its time has passed everywhere."
   @spec again(Feed.t(), Trace.t() | nil) :: Trace.t() | nil
   def again(_feed, nil), do: nil
 
@@ -78,12 +78,12 @@ defmodule Situ.Studio.PipelineView.Tracing do
     inside = for path <- trace.inside, do: "in (or ended in) #{path}"
 
     case waiting ++ inside do
-      [] -> "Nothing of this time is on its way: it has passed, or has not begun."
+      [] -> "No message of this time is in flight: all have passed, or none has been sent."
       places -> places |> Enum.join(", ") |> sentence()
     end
   end
 
-  # Names of components keep their letters as they are.
+  # Capitalizes only the first letter, because the names of components must not change.
   defp sentence(<<first::utf8, rest::binary>>), do: String.upcase(<<first::utf8>>) <> rest
 
   defp told(%{state: :coming}), do: "not sent yet"

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.PipelineView.Waits do
   @moduledoc """
-  Who waits in a pipeline for whom, and why: a producer waits because an input takes no more; that input's component is
-  slow, or waits itself further on, or lacks messages at another input.
+  Finds the waiting producers of a pipeline and the causes. A producer waits if an input accepts no more messages. The
+  component of this input is slow, waits for a component further downstream, or lacks messages at another input.
 
       iex> alias Situ.Diagnostics.{Edge, Node, Snapshot}
       iex> nodes = for {id, path} <- [{1, "Camera"}, {2, "Resize"}, {3, "Detect"}], do: %Node{id: id, path: path}
@@ -12,7 +12,7 @@ defmodule Situ.Studio.PipelineView.Waits do
       iex> sample = %{at: 0, edges: %{1 => %{"busy" => 3.0}, 2 => %{"busy" => 97.0}}, nodes: %{}}
       iex> for wait <- Situ.Studio.PipelineView.Waits.of(snapshot, sample), do: {wait.who, wait.input, wait.why}
       [
-        {"Camera", "Resize", "Resize waits itself: Detect is the one that is slow"},
+        {"Camera", "Resize", "Resize is itself waiting because Detect is slow"},
         {"Resize", "Detect", "Detect is busy 97.0 % of the time"}
       ]
   """
@@ -27,12 +27,12 @@ defmodule Situ.Studio.PipelineView.Waits do
           why: String.t()
         }
 
-  # A component that is busy for less than this much of its time is not what is slow.
+  # A component that is busy for less than this percentage of its time is not the bottleneck.
   @busy 50.0
-  # One that is busy for so much of it has no time for more.
+  # A component that is busy for this percentage of its time cannot take more messages.
   @full 90.0
 
-  @doc "Each wait that there is now, in the order of the connections."
+  @doc "Lists the current waits in the order of the connections."
   @spec of(Snapshot.t(), Stats.sample()) :: [t()]
   def of(%Snapshot{} = snapshot, sample) do
     paths = Map.new(snapshot.nodes, &{&1.id, &1.path})
@@ -50,13 +50,14 @@ defmodule Situ.Studio.PipelineView.Waits do
     end
   end
 
-  # A source that is asked for messages has none left over: it waits where the input has some and has no time for more.
+  # A source that produces on demand has no messages left over. It counts as waiting if its consumer has queued messages
+  # and cannot take more.
   defp waits?(%{throttled: true}, _snapshot, _sample), do: true
 
   defp waits?(edge, snapshot, sample),
     do: edge.queue > 0 and not Fold.lossy?(edge) and busy(edge.to, snapshot, sample) >= @full
 
-  # Its name says more where there are several.
+  # Includes the input's name if the component has several.
   defp input(edge, paths, snapshot) do
     if Enum.count(snapshot.edges, &(&1.to == edge.to)) > 1,
       do: "#{paths[edge.to]} (input #{edge.to_input})",
@@ -66,11 +67,11 @@ defmodule Situ.Studio.PipelineView.Waits do
   defp why(edge, by_from, paths, snapshot, sample) do
     case root(edge, by_from, [edge.to]) do
       ^edge -> own(edge, paths, snapshot, sample)
-      last -> "#{paths[edge.to]} waits itself: #{paths[last.to]} is the one that is slow"
+      last -> "#{paths[edge.to]} is itself waiting because #{paths[last.to]} is slow"
     end
   end
 
-  # Down the connections that wait, to one whose component does not; a circle ends where it closes.
+  # Follows waiting connections downstream to a component that does not wait. Stops where the connections form a cycle.
   defp root(edge, by_from, seen) do
     case Enum.reject(Map.get(by_from, edge.to, []), &(&1.to in seen)) do
       [next | _] -> root(next, by_from, [next.to | seen])
@@ -84,7 +85,7 @@ defmodule Situ.Studio.PipelineView.Waits do
 
     case Enum.filter(snapshot.edges, &(&1.to == edge.to and &1.id != edge.id and &1.queue == 0)) do
       [%{to_input: empty, from: from} | _] when busy < @busy ->
-        "#{path} has too little at its input #{empty}, from #{paths[from]}"
+        "#{path} lacks messages at its input #{empty}, from #{paths[from]}"
 
       _ ->
         "#{path} is busy #{Float.round(busy / 1, 1)} % of the time#{handling(edge, sample)}"
@@ -98,7 +99,7 @@ defmodule Situ.Studio.PipelineView.Waits do
 
   defp handling(edge, sample) do
     case number(sample.edges[edge.id]["handling"]) do
-      ms when ms > 0 -> ", #{Stats.format("handling", ms)} a message"
+      ms when ms > 0 -> ", #{Stats.format("handling", ms)} per message"
       _ -> ""
     end
   end

@@ -1,10 +1,10 @@
 defmodule Situ.Studio.PipelineView.Wire do
   @moduledoc false
-  # The messages to the page's hooks: the graph when its shape changes, numbers and colours at each tick, points of the
-  # plots.
+  # Builds the messages to the page's hooks: the graph when its shape changes, statistics and colours at each tick, and
+  # points of the plots.
   alias Situ.Studio.PipelineView.{Fold, Marking, Stats, Waits}
 
-  @doc "The graph, which runs from left to right or another `way` (`Marking.directions/0`)."
+  @doc "Builds the message with the graph; `way` is its direction (`Marking.directions/0`)."
   @spec graph(Fold.t(), String.t()) :: map()
   def graph(%Fold{} = graph, way \\ "LR") do
     %{
@@ -16,7 +16,7 @@ defmodule Situ.Studio.PipelineView.Wire do
     }
   end
 
-  @doc "Per edge and node: heat from 0 to 1 of the largest shown, and its text; states of nodes."
+  @doc "Builds the message with the heat of edges and nodes (0 to 1, relative to the largest), their texts and states."
   @spec stats(
           Fold.t(),
           Situ.Diagnostics.Snapshot.t(),
@@ -54,7 +54,7 @@ defmodule Situ.Studio.PipelineView.Wire do
 
     case of do
       :node -> {%{}, values(graph.nodes, sample.nodes, heat)}
-      # A component is as hot as the hottest of what it takes in.
+      # A component is as hot as its hottest input.
       :edge -> {edges, inputs(graph, edges)}
     end
   end
@@ -118,14 +118,14 @@ defmodule Situ.Studio.PipelineView.Wire do
     end
   end
 
-  @doc "The values of what is selected in one sample, for the statistics that are plotted."
+  @doc "Builds the message with one sample of the plotted statistics of the selection."
   def point(sample, selected, folded, snapshot, stats) do
     {kind, ids} = selection(selected, folded, snapshot)
     values = merged(ids, Map.get(sample, kind, %{}))
     %{key: selected, at: milliseconds(sample.at), values: Map.new(stats, &{&1, values[&1]})}
   end
 
-  @doc "The same over all samples, oldest first."
+  @doc "Builds the message with all samples of the plotted statistics of the selection, oldest first."
   def series(samples, selected, folded, snapshot, stats) do
     {kind, ids} = selection(selected, folded, snapshot)
 
@@ -140,7 +140,7 @@ defmodule Situ.Studio.PipelineView.Wire do
 
   defp milliseconds(ns), do: div(ns, 1_000_000)
 
-  @doc "The components or connections that a key of the page names: `{:edges | :nodes, ids}`."
+  @doc "Resolves a key of the page to its components or connections: `{:edges | :nodes, ids}`."
   @spec selection(String.t() | nil, MapSet.t(), Situ.Diagnostics.Snapshot.t()) ::
           {:edges | :nodes | :none, [integer()]}
   def selection("n" <> id, _folded, _snapshot), do: {:nodes, ids(id)}
@@ -155,7 +155,7 @@ defmodule Situ.Studio.PipelineView.Wire do
   defp within?(nil, _), do: false
   defp within?(scope, path), do: scope == path or String.starts_with?(scope, path <> ".")
 
-  # Keys come from the page's address.
+  # Keys come from the page's address, so invalid parts are ignored.
   defp ids(text) do
     for part <- String.split(text, "+"), {id, ""} <- [Integer.parse(part)], do: id
   end

@@ -1,12 +1,13 @@
 defmodule Situ.Studio.Plugins.Code do
   @moduledoc """
-  The Elixir half of a plug-in: the modules below its `lib/`, compiled into this VM, once for each version of a file.
+  Loads the Elixir half of a plug-in: compiles the modules below its `lib/` into this VM, once for each version of a
+  file.
 
-  A plug-in cannot take the name of a module that is there already: Situ's own are not to be replaced by accident.
+  A plug-in cannot define a module that already exists, so that it does not replace one of Situ's modules by accident.
   """
   alias Situ.Error
 
-  @doc "The modules of a plug-in. Errors: `:bad_plugin`, with what the compiler says."
+  @doc "Loads the modules of a plug-in. Errors are `:bad_plugin` with the compiler's message."
   @spec load(Path.t()) :: {:ok, [module()]} | {:error, Error.t()}
   def load(folder) do
     files = folder |> Path.join("lib/**/*.ex") |> Path.wildcard() |> Enum.sort()
@@ -31,7 +32,7 @@ defmodule Situ.Studio.Plugins.Code do
     end
   end
 
-  # The modules that the files define, found before any of their code runs.
+  # Finds the modules that the files define, before any of their code is run.
   defp names([], names), do: {:ok, names}
 
   defp names([file | files], names) do
@@ -63,7 +64,7 @@ defmodule Situ.Studio.Plugins.Code do
   defp free(names) do
     case Enum.find(names, &Code.ensure_loaded?/1) do
       nil -> :ok
-      taken -> bad("it defines #{inspect(taken)}, which is there already: take another name")
+      taken -> bad("it defines #{inspect(taken)}, which already exists: choose another name")
     end
   end
 
@@ -83,13 +84,13 @@ defmodule Situ.Studio.Plugins.Code do
     error -> bad(Exception.message(error))
   catch
     kind, reason ->
-      bad("its code ended while it was loaded: #{inspect({kind, reason}, limit: 5)}")
+      bad("its code failed while it was loaded: #{inspect({kind, reason}, limit: 5)}")
   end
 
   defp bad(what),
-    do: {:error, Error.new(:bad_plugin, what, fix: "correct it, and restart the studio")}
+    do: {:error, Error.new(:bad_plugin, what, fix: "correct the plug-in, and restart the studio")}
 
-  @doc "Those modules that have a behaviour."
+  @doc "Filters modules by a behaviour that they implement."
   @spec of([module()], module()) :: [module()]
   def of(modules, behaviour) do
     Enum.filter(modules, fn module ->

@@ -1,20 +1,19 @@
 defmodule Situ.Studio.Plugins.Guard do
   @moduledoc """
-  Runs what a plug-in brought in a process of its own: one that fails, hangs or eats memory costs its panel, nothing
-  else.
+  Runs code of a plug-in in a separate process. Code that fails, hangs or uses too much memory affects only its panel.
 
       iex> Situ.Studio.Plugins.Guard.run(fn -> 1 + 1 end)
       {:ok, 2}
       iex> Situ.Studio.Plugins.Guard.run(fn -> exit(:tired) end)
       {:error, "it ended: :tired"}
       iex> Situ.Studio.Plugins.Guard.run(fn -> Process.sleep(:infinity) end, 20)
-      {:error, "it did not answer within 20 ms"}
+      {:error, "it did not return within 20 ms"}
   """
   @ms 5_000
-  # 1 GB of terms.
+  # The heap limit in words, which is 1 GB.
   @words 125_000_000
 
-  @doc "The answer of `work`, or in words why there is none after `ms` milliseconds."
+  @doc "Returns the result of `work`, or the reason if it fails or does not return within `ms` milliseconds."
   @spec run((() -> result), pos_integer()) :: {:ok, result} | {:error, String.t()}
         when result: term()
   def run(work, ms \\ @ms) do
@@ -24,7 +23,7 @@ defmodule Situ.Studio.Plugins.Guard do
       {:ok, answer} -> answer
       {:exit, :killed} -> {:error, "it took more than 1 GB of memory"}
       {:exit, reason} -> {:error, "it ended: #{inspect(reason, limit: 5)}"}
-      nil -> {:error, "it did not answer within #{ms} ms"}
+      nil -> {:error, "it did not return within #{ms} ms"}
     end
   end
 

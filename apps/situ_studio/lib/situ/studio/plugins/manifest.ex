@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Plugins.Manifest do
   @moduledoc """
-  The description of a plug-in, in the `plugin.json` of its folder:
+  Reads the description of a plug-in from the `plugin.json` in its folder:
 
       {
         "plugin": 1,
@@ -18,19 +18,19 @@ defmodule Situ.Studio.Plugins.Manifest do
 
   | key of a part | |
   |---|---|
-  | `types` | what streams it takes: types as the stream's properties show them, or their shapes, or `["any"]` |
-  | `panel` | `"image"` (over a picture) or `"own"` (fills a panel); with a `module` any, drawn by a `drawer` of the page |
+  | `types` | the streams that it accepts: types as the stream's properties show them, or their shapes, or `["any"]` |
+  | `panel` | `"image"` (over an image) or `"own"` (fills a panel); with a `module` any, drawn by the page's `drawer` |
   | `script` | the ES module below `web/` that draws |
-  | `data` | `"message"` (default): the script gets the message at the cursor; `"past"`: those of the option `seconds` |
-  | `module` | the Elixir module (`Situ.Studio.Visualizer`) that makes the frames, in place of `data` |
-  | `drawer` | the page's own visualizer that draws what the `module` makes, in place of a `script` |
+  | `data` | `"message"` (default): the message at the cursor; `"past"`: the messages of the last `seconds` (option) |
+  | `module` | the Elixir module (`Situ.Studio.Visualizer`) that builds the frames, instead of `data` |
+  | `drawer` | the page's own visualizer that draws the frames of the `module`, instead of a `script` |
   | `options` | of each: `type` (`boolean`, `color`, `text`, `range`, `choice`), `title`, `default`, `min`, `max`, `choices` |
 
-  Adapters, readers and tasks are Elixir modules below `lib/` and need no mention.
+  Adapters, readers and tasks are Elixir modules below `lib/` and are not listed.
 
       iex> {:error, error} = Situ.Studio.Plugins.Manifest.read(~s({"plugin": 1, "id": "Gaze!"}))
       iex> error.what
-      "the plug-in's manifest is wrong: \\"id\\" must be small letters, digits and dashes, not \\"Gaze!\\""
+      "the plug-in's manifest is invalid: \\"id\\" must be lowercase letters, digits and dashes, not \\"Gaze!\\""
   """
   alias Situ.Error
   alias Situ.Studio.{Layout, StreamInfo, Visualizer, Visualizers}
@@ -38,7 +38,7 @@ defmodule Situ.Studio.Plugins.Manifest do
   @enforce_keys [:id, :title]
   defstruct [:id, :title, parts: []]
 
-  @typedoc "A part is a visualizer with its `module` as text, which is found once the code is loaded."
+  @typedoc "A part is a visualizer. Its `module` is a string and is resolved once the code is loaded."
   @type part :: %{visualizer: Visualizer.t(), module: String.t() | nil, script: String.t() | nil}
   @type t :: %__MODULE__{id: String.t(), title: String.t(), parts: [part()]}
 
@@ -49,7 +49,7 @@ defmodule Situ.Studio.Plugins.Manifest do
   @max_options 40
   @max_bytes 200_000
 
-  @doc "The manifest in a file. Errors: `:bad_plugin`."
+  @doc "Loads the manifest in a file. Errors: `:bad_plugin`."
   @spec load(Path.t()) :: {:ok, t()} | {:error, Error.t()}
   def load(path) do
     case File.read(path) do
@@ -59,13 +59,13 @@ defmodule Situ.Studio.Plugins.Manifest do
     end
   end
 
-  @doc "The manifest that a text is. Errors: `:bad_plugin`, with what is wrong and where."
+  @doc "Parses a manifest. Errors: `:bad_plugin`, with the problem and where it is."
   @spec read(String.t()) :: {:ok, t()} | {:error, Error.t()}
   def read(text) do
     case Situ.JSON.decode(text) do
       {:ok, %{"plugin" => 1} = doc} -> whole(doc)
       {:ok, %{"plugin" => other}} -> wrong("this Situ reads version 1, not #{inspect(other)}")
-      {:ok, _} -> wrong(~s(it must begin with "plugin": 1))
+      {:ok, _} -> wrong(~s(it must contain "plugin": 1))
       {:error, :bad_json} -> wrong("it is not JSON")
     end
   end
@@ -84,7 +84,7 @@ defmodule Situ.Studio.Plugins.Manifest do
 
   defp wrong(what) do
     {:error,
-     Error.new(:bad_plugin, "the plug-in's manifest is wrong: #{what}",
+     Error.new(:bad_plugin, "the plug-in's manifest is invalid: #{what}",
        fix: "docs/guides/your-own-visualizer.md describes plugin.json"
      )}
   end
@@ -92,7 +92,7 @@ defmodule Situ.Studio.Plugins.Manifest do
   defp name(id) do
     if is_binary(id) and id =~ @id,
       do: :ok,
-      else: ~s("id" must be small letters, digits and dashes, not #{inspect(id, limit: 5)})
+      else: ~s("id" must be lowercase letters, digits and dashes, not #{inspect(id, limit: 5)})
   end
 
   defp title(%{"title" => title}, _) when is_binary(title), do: String.slice(title, 0, 60)
@@ -129,9 +129,9 @@ defmodule Situ.Studio.Plugins.Manifest do
   end
 
   defp part(%{"kind" => kind}, _),
-    do: ~s(a part's "kind" is "visualizer", not #{inspect(kind, limit: 5)})
+    do: ~s(the "kind" of a part must be "visualizer", not #{inspect(kind, limit: 5)})
 
-  defp part(_, _), do: ~s(a part is an object with a "kind")
+  defp part(_, _), do: ~s(a part must be an object with a "kind")
 
   defp types(["any"]), do: {:ok, :any}
 
@@ -148,9 +148,9 @@ defmodule Situ.Studio.Plugins.Manifest do
     end
   end
 
-  defp type(other), do: "#{inspect(other, limit: 5)} is no type"
+  defp type(other), do: "#{inspect(other, limit: 5)} is not a type"
 
-  # A script draws on a canvas: over a picture, or on one of its own.
+  # A script draws on a canvas that is over an image or fills a panel.
   defp panel(name, nil) when name in ["image", "own"], do: {:ok, String.to_existing_atom(name)}
 
   defp panel(name, module) when module != nil do
@@ -160,7 +160,7 @@ defmodule Situ.Studio.Plugins.Manifest do
     end
   end
 
-  defp panel(_, _), do: ~s("panel" must be "image" or "own"; others need a "module")
+  defp panel(_, _), do: ~s("panel" must be "image" or "own"; other panels need a "module")
 
   defp script(nil), do: {:ok, nil}
 
@@ -189,12 +189,13 @@ defmodule Situ.Studio.Plugins.Manifest do
   defp options(%{} = options) when map_size(options) <= @max_options,
     do: options |> Enum.sort() |> Error.map(&option/1)
 
-  defp options(_), do: ~s("options" must be an object of at most #{@max_options})
+  defp options(_), do: ~s("options" must be an object with at most #{@max_options} entries)
 
   defp option({key, %{"type" => type} = doc}) when is_binary(key) do
-    with true <- key =~ @key || "an option is called by small letters and _, not #{inspect(key)}",
+    with true <-
+           key =~ @key || "option names consist of lowercase letters and _, not #{inspect(key)}",
          {:ok, type, default} <- kind(type, doc) do
-      # at most 40 names of a plug-in that the user put there
+      # A plug-in, which the user has installed, creates at most 40 atoms here.
       given = [type: type, title: title(doc, key)]
 
       {:ok,
@@ -219,15 +220,15 @@ defmodule Situ.Studio.Plugins.Manifest do
   defp kind("choice", %{"choices" => [_ | _] = choices} = doc) do
     if Enum.all?(choices, &is_binary/1),
       do: fits({:in, choices}, doc, &(&1 in choices)),
-      else: "choices are texts"
+      else: "choices must be strings"
   end
 
   defp kind("choice", _), do: ~s(a choice needs "choices")
-  defp kind(other, _), do: "there is no type #{inspect(other, limit: 5)}"
+  defp kind(other, _), do: "unknown type #{inspect(other, limit: 5)}"
 
   defp fits(type, doc, fits?) do
     if fits?.(doc["default"]),
       do: {:ok, type, doc["default"]},
-      else: "its default #{inspect(doc["default"], limit: 5)} is none of its values"
+      else: "its default #{inspect(doc["default"], limit: 5)} is not one of its values"
   end
 end

@@ -1,11 +1,11 @@
 defmodule Situ.Studio.Plugins.Template do
-  @moduledoc "A plug-in to begin with: what `situ plugin new` writes."
+  @moduledoc "Writes the template of a new plug-in, for `situ plugin new`."
   alias Situ.Error
 
   @name ~r/\A[a-z][a-z0-9-]{0,39}\z/
 
   @doc """
-  Makes the folder `name` below `parent`. Errors: `:bad_name`, `:exists`, `:not_saved`.
+  Writes a plug-in to the folder `name` below `parent`. Errors: `:bad_name`, `:exists`, `:not_saved`.
 
       iex> {:error, error} = Situ.Studio.Plugins.Template.write("My Plug-in", "/tmp")
       iex> error.code
@@ -19,12 +19,12 @@ defmodule Situ.Studio.Plugins.Template do
     cond do
       not (name =~ @name) ->
         {:error,
-         Error.new(:bad_name, "#{inspect(name)} is no name of a plug-in",
-           fix: "take small letters, digits and dashes, a letter first"
+         Error.new(:bad_name, "invalid plug-in name #{inspect(name)}",
+           fix: "use lowercase letters, digits and dashes, beginning with a letter"
          )}
 
       File.exists?(folder) ->
-        {:error, Error.new(:exists, "#{folder} is there already", fix: "take another name")}
+        {:error, Error.new(:exists, "#{folder} already exists", fix: "choose another name")}
 
       true ->
         save(folder, files(name))
@@ -89,10 +89,10 @@ defmodule Situ.Studio.Plugins.Template do
 
   defp script do
     """
-    // Draws the numbers of the last seconds: the newest at the right.
+    // Draws the numbers of the last seconds, with the newest at the right.
 
-    // Where each of the rows [milliseconds before the newest, number] lies on a canvas. Pure, and tested by itself.
-    export function places(rows, seconds, width, height) {
+    // Returns the canvas positions of the rows [milliseconds before the newest, number]. Pure, and tested separately.
+    export function positions(rows, seconds, width, height) {
       const numbers = rows.map(([, n]) => n).filter(Number.isFinite);
       const low = Math.min(...numbers),
         high = Math.max(...numbers);
@@ -105,14 +105,14 @@ defmodule Situ.Studio.Plugins.Template do
     export function open(host) {
       let rows = [];
       return {
-        accept(told) {
-          rows = told.rows ?? [];
+        accept(data) {
+          rows = data.rows ?? [];
         },
         draw(ctx, { width, height, options }) {
           ctx.strokeStyle = host.color();
           ctx.lineWidth = 2;
           ctx.beginPath();
-          for (const [x, y] of places(rows, options.seconds, width, height)) ctx.lineTo(x, y);
+          for (const [x, y] of positions(rows, options.seconds, width, height)) ctx.lineTo(x, y);
           ctx.stroke();
         },
         under: () => (rows.length ? [`${host.format(rows[rows.length - 1][1])}`] : []),
@@ -124,7 +124,7 @@ defmodule Situ.Studio.Plugins.Template do
   defp adapter(name, module) do
     """
     defmodule #{module}.Magnitude do
-      @moduledoc "How large a number is, whatever its sign: so that every visualizer of signals can draw that."
+      @moduledoc "Converts numbers to their magnitude, which every visualizer of signals can draw."
       @behaviour Situ.Studio.Adapter
 
       @impl true
@@ -143,7 +143,7 @@ defmodule Situ.Studio.Plugins.Template do
     defmodule #{module}.Test do
       use ExUnit.Case, async: true
 
-      test "the plug-in is whole" do
+      test "the plug-in is valid" do
         plugin = Situ.Studio.Plugins.plugin(Path.expand("..", __DIR__))
         assert plugin.problem == nil
         assert [%{id: "#{name}/recent"}] = plugin.visualizers
@@ -161,22 +161,22 @@ defmodule Situ.Studio.Plugins.Template do
     """
     import test from "node:test";
     import assert from "node:assert/strict";
-    import { places } from "../web/FILE.js";
+    import { positions } from "../web/FILE.js";
 
     test("the newest is at the right, the largest on top", () => {
       const rows = [
         [-1000, 0],
         [0, 5],
       ];
-      const found = places(rows, 2, 100, 10).map(([x, y]) => [Math.round(x), Math.round(y)]);
+      const found = positions(rows, 2, 100, 10).map(([x, y]) => [Math.round(x), Math.round(y)]);
       assert.deepEqual(found, [
         [50, 9],
         [100, 1],
       ]);
     });
 
-    test("what is no number is left out", () => {
-      assert.deepEqual(places([[0, null]], 2, 100, 10), []);
+    test("values that are not numbers are left out", () => {
+      assert.deepEqual(positions([[0, null]], 2, 100, 10), []);
     });
     """
   end

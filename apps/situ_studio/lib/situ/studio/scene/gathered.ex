@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Scene.Gathered do
   @moduledoc false
-  # Small things of a message, gathered so that a thousand boxes are one item and not a thousand.
+  # Collects the small objects of a message, so that a thousand boxes become one item.
   alias Situ.{Box3, Pose, Quaternion, Skeleton}
   alias Situ.Studio.Scene
 
@@ -63,7 +63,7 @@ defmodule Situ.Studio.Scene.Gathered do
     graph(g, nodes, body.bones, name, &Map.get(body.confidence, &1, 1.0))
   end
 
-  @doc "Nodes by key, and edges between keys; an edge to a node that is not there is a problem."
+  @doc "Adds nodes by key and edges between keys. Reports edges to missing nodes as a problem."
   @spec graph(t(), map(), list(), String.t() | nil, (term() -> number())) :: t()
   def graph(g, nodes, edges, label, confidence \\ fn _ -> 1.0 end) do
     keys = nodes |> Map.keys() |> Enum.sort()
@@ -112,7 +112,7 @@ defmodule Situ.Studio.Scene.Gathered do
 
   defp lines([], _arrow), do: []
 
-  # Those with colours of their own and those in the layer's are two items.
+  # Lines with and without their own colours become separate items.
   defp lines(lines, arrow) do
     {plain, colored} = Enum.split_with(lines, fn {_, _, color, _} -> color == nil end)
 

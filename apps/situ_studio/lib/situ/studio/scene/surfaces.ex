@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Scene.Surfaces do
   @moduledoc false
-  # Clouds, meshes, voxels and flat surfaces as items.
+  # Converts point clouds, meshes, voxels and flat surfaces to items.
   alias Situ.{Mesh, Plane, PointCloud, Pose, Rectangle3, Vector3, VoxelGrid}
   alias Situ.Space.Cloud
   alias Situ.Studio.Draw.Picture
@@ -12,15 +12,15 @@ defmodule Situ.Studio.Scene.Surfaces do
   @spec cloud(PointCloud.t(), String.t() | nil, map()) :: result()
   def cloud(%PointCloud{points: points, colors: colors}, _label, _settings)
       when not is_binary(points) or (colors != nil and not is_binary(colors)),
-      do: {:error, "a point cloud whose points are no bytes"}
+      do: {:error, "a point cloud whose points are not a binary"}
 
-  # decoded as terms, from before clouds had values
+  # Clouds decoded as terms may come from a version without `values`.
   def cloud(cloud, label, settings) when not is_map_key(cloud, :values),
     do: cloud(Map.put(cloud, :values, nil), label, settings)
 
   def cloud(%PointCloud{values: values}, _label, _settings)
       when values != nil and not is_binary(values),
-      do: {:error, "a point cloud whose values are no bytes"}
+      do: {:error, "a point cloud whose values are not a binary"}
 
   def cloud(%PointCloud{} = cloud, label, settings) do
     with {:ok, {cloud, count}} <- some(cloud, PointCloud.count(cloud), settings),
@@ -33,7 +33,7 @@ defmodule Situ.Studio.Scene.Surfaces do
       numbers = [{:position, cloud.points} | extras]
       {:ok, Scene.item(:points, PointCloud.count(cloud), numbers, meta)}
     else
-      {:error, error} -> {:error, "a point cloud that is none: #{error.what}"}
+      {:error, error} -> {:error, "an invalid point cloud: #{error.what}"}
     end
   end
 
@@ -56,9 +56,10 @@ defmodule Situ.Studio.Scene.Surfaces do
     {:ok, Scene.item(:meshes, Mesh.triangle_count(mesh), numbers, meta)}
   end
 
-  def mesh(_mesh, _label), do: {:error, "a mesh whose bytes are no whole vertices and triangles"}
+  def mesh(_mesh, _label),
+    do: {:error, "a mesh whose bytes are not complete vertices and triangles"}
 
-  # As WebGL has matrices: column by column.
+  # WebGL stores matrices column by column.
   defp columns(pose) do
     [a, b, c, x, d, e, f, y, g, h, i, z | _] = Pose.to_matrix(pose)
     [a, d, g, 0, b, e, h, 0, c, f, i, 0, x, y, z, 1]
@@ -70,7 +71,7 @@ defmodule Situ.Studio.Scene.Surfaces do
     shown = for {index, value} <- Enum.sort(voxels), above?(value, threshold), do: {index, value}
 
     if length(shown) > @most_voxels do
-      {:error, "#{length(shown)} voxels are more than can be drawn (#{@most_voxels})"}
+      {:error, "#{length(shown)} voxels exceed the limit of #{@most_voxels}"}
     else
       position =
         Enum.flat_map(shown, fn {i, _} -> grid |> VoxelGrid.center(i) |> Tuple.to_list() end)
@@ -94,7 +95,7 @@ defmodule Situ.Studio.Scene.Surfaces do
   @spec plain([Vector3.t()], String.t()) :: Scene.item()
   def plain(corners, name), do: quad(corners, %{"names" => [name]}, [])
 
-  # A plane has no end: two metres around the place nearest to the origin.
+  # Planes are infinite, so this draws a square with sides of two metres around the point nearest to the origin.
   @spec plane(Plane.t(), String.t()) :: Scene.item()
   def plane(%Plane{normal: normal} = plane, name) do
     middle = Plane.project(plane, {0.0, 0.0, 0.0})
@@ -117,7 +118,7 @@ defmodule Situ.Studio.Scene.Surfaces do
     plain(corners, name)
   end
 
-  @doc "A text on a rectangle, or of a height around a pose, read against the normal (the x axis)."
+  @doc "Builds a text on a rectangle, or of a height around a pose, to be read against the normal (the x axis)."
   @spec text(String.t(), Pose.t() | Rectangle3.t(), number()) :: Scene.item()
   def text(text, %Pose{} = pose, height) do
     width = max(String.length(text), 1) * height * 0.6

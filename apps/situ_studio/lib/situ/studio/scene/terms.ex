@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Scene.Terms do
   @moduledoc """
-  The items of any term in space: poses, rays, boxes, clouds, skeletons, camera views and the like, alone, in lists,
-  tuples and maps, with names beside them.
+  Collects the drawable items of any term in space: poses, rays, boxes, point clouds, skeletons, camera views and the
+  like, alone or in lists, tuples and maps, with optional names.
 
       iex> alias Situ.Studio.Scene.Terms
       iex> {[item], []} = Terms.of([Situ.Point3.new(1, 2, 3), Situ.Point3.new(4, 5, 6)])
@@ -25,11 +25,11 @@ defmodule Situ.Studio.Scene.Terms do
   @pictures [Image, EncodedImage, DepthImage]
 
   @typedoc """
-  `budget` is how many points a cloud may have; `within`, where it is not `nil`, the planes around the part of the
-  clouds that is wanted, and nothing else is (`Situ.Space.Cloud.within/3`); `depth_as` how depth is shown, of every
-  `sparsity`-th pixel; `focal` the focal length (pixels) of pictures without a lens; `axis` the length of a pose's axes
-  and `ray` that of a ray (metres), `threshold` above which voxels are shown; `text` the height (metres) of texts that
-  lie in the plane of their pose or rectangle, `nil` where all face the viewer.
+  `budget` is the maximum number of points of a cloud. `within` is `nil` or the planes around the requested part of the
+  clouds (`Situ.Space.Cloud.within/3`); with planes, only clouds are returned. `depth_as` is how depth images are shown,
+  using every `sparsity`-th pixel. `focal` is the focal length (pixels) of images without intrinsics. `axis` is the
+  length of a pose's axes and `ray` the length of a ray (metres). Voxels above `threshold` are shown. `text` is the
+  height (metres) of texts in the plane of their pose or rectangle, or `nil` if all texts face the viewer.
   """
   @type settings :: %{optional(atom()) => term()}
 
@@ -45,11 +45,11 @@ defmodule Situ.Studio.Scene.Terms do
     threshold: 0.0
   }
 
-  @doc "The structs that are something in space."
+  @doc "Returns the structs that are drawn in space."
   @spec shapes() :: [module()]
   def shapes, do: @shapes
 
-  @doc "Whether there is anything in `term` that is drawn in space."
+  @doc "Returns whether `term` contains anything that is drawn in space."
   @spec any?(term()) :: boolean()
   def any?(term), do: any?(term, 0)
 
@@ -74,7 +74,7 @@ defmodule Situ.Studio.Scene.Terms do
   defp some?(_, _, _), do: false
 
   @doc """
-  Whether there is nothing in `term` on purpose: `nil`, an empty list or map, or a container of such.
+  Returns whether `term` is intentionally empty: `nil`, an empty list or map, or a container of such values.
 
       iex> Enum.map([nil, [], %{"left" => nil}, {"lamp", nil}, [1], "lamp"], &Situ.Studio.Scene.Terms.nothing?/1)
       [true, true, true, true, false, false]
@@ -95,7 +95,7 @@ defmodule Situ.Studio.Scene.Terms do
 
   defp nothing?(_term, _), do: false
 
-  @doc "The items of a term, and what is wrong with it in sentences."
+  @doc "Returns the items of a term and descriptions of its problems."
   @spec of(term(), settings()) :: {[Scene.item()], [String.t()]}
   def of(term, settings \\ %{}) do
     settings = Map.merge(@defaults, settings)
@@ -111,7 +111,7 @@ defmodule Situ.Studio.Scene.Terms do
   defp walk(_, _, {%{left: left}, _} = acc, _) when left <= 0, do: acc
   defp walk(_, _, acc, @depth), do: acc
 
-  # Of a whole, several terms together are one thing.
+  # Some tuples of several terms describe a single object.
   defp walk({%Image{} = i, %CameraIntrinsics{} = c, %Pose{} = p}, _, acc, _),
     do: view(i, c, p, acc)
 

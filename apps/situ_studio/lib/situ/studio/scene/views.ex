@@ -1,19 +1,19 @@
 defmodule Situ.Studio.Scene.Views do
   @moduledoc false
-  # Camera views as items at the cameras' poses.
+  # Converts camera views to items at the cameras' poses.
   alias Situ.{CameraIntrinsics, CameraView, DepthImage, PointCloud, Pose}
   alias Situ.Space.{Camera, Cloud, Depth}
   alias Situ.Studio.Scene
   alias Situ.Studio.Scene.Surfaces
 
-  @doc "The pyramid of what a camera sees, 1 m deep."
+  @doc "Builds the view pyramid of a camera, 1 m deep."
   @spec frustum(CameraIntrinsics.t(), Pose.t(), String.t() | nil) :: Scene.item()
   def frustum(camera, pose, label) do
     points = Enum.flat_map([pose.position | corners(camera, pose)], &Tuple.to_list/1)
     Scene.item(:frusta, 1, [corner: Scene.floats(points)], %{"names" => [label || "camera"]})
   end
 
-  # Where the corners of the picture lie, 1 m before the camera.
+  # Returns the positions of the image's corners, 1 m in front of the camera.
   defp corners(%CameraIntrinsics{width: w, height: h} = camera, pose) do
     for {x, y} <- [{0, 0}, {w, 0}, {w, h}, {0, h}],
         do: Pose.transform(pose, corner(camera, {x, y}))
@@ -25,12 +25,12 @@ defmodule Situ.Studio.Scene.Views do
          else: ({:ok, point} -> point)
   end
 
-  @doc "Intrinsics for a picture of which none are known, but a focal length in pixels."
+  @doc "Builds intrinsics from a focal length in pixels, for an image whose intrinsics are unknown."
   @spec assumed(struct(), number()) :: CameraIntrinsics.t()
   def assumed(%{width: w, height: h}, focal),
     do: CameraIntrinsics.new!(width: w, height: h, focal: {focal, focal})
 
-  @doc "A view's picture: on its plane, or, of depth, as points or as a surface."
+  @doc "Builds the item of a view's image: the image on its plane, or depth as points or as a surface."
   @spec seen(CameraView.t(), map()) :: Surfaces.result()
   def seen(%CameraView{viewed: %DepthImage{} = depth} = view, %{depth_as: as} = settings)
       when as != "picture" do
@@ -64,7 +64,7 @@ defmodule Situ.Studio.Scene.Views do
     end
   end
 
-  @doc "A cloud in a camera's frame."
+  @doc "Builds the item of a point cloud in a camera's frame."
   @spec cloud(PointCloud.t(), Pose.t(), map()) :: Surfaces.result()
   def cloud(cloud, pose, settings) do
     case cloud |> Map.put_new(:values, nil) |> Cloud.transform(pose) do

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Sensor.Inbox do
   @moduledoc false
-  # Shared by sources whose sensor is a page: their name, the page that is there, and what came from it and waits for
-  # the pipeline. One output is credited: the page sends another of these when the pipeline has taken one.
+  # Shared by sources whose sensor is a page. Holds their name, the connected page, and the data from the page that
+  # waits for the pipeline. One output is credited: the page sends more of it only after the pipeline has taken some.
   alias Situ.Error
 
   @enforce_keys [:kind, :name, :credited, :ahead, :buffer]
@@ -10,7 +10,7 @@ defmodule Situ.Studio.Sensor.Inbox do
   @type t :: %__MODULE__{}
   @registry Situ.Studio.Registry
 
-  @doc "`kind` is the component's module: a name is one of its kind."
+  @doc "Builds an inbox. `kind` is the component's module; names are unique within a kind."
   @spec new(module(), String.t(), keyword()) :: t()
   def new(kind, name, opts), do: struct!(__MODULE__, [kind: kind, name: name] ++ opts)
 
@@ -21,13 +21,15 @@ defmodule Situ.Studio.Sensor.Inbox do
         {[{:complete, :infinity}], inbox}
 
       {:error, _} ->
-        raise Error.new(:sensor_taken, "a sensor called #{inspect(inbox.name)} runs already",
-                fix: "give this one another page:"
+        raise Error.new(
+                :sensor_taken,
+                "a sensor called #{inspect(inbox.name)} is already running",
+                fix: "choose a different page:"
               )
     end
   end
 
-  @doc "The process of the sensor with this name."
+  @doc "Fetches the process of the sensor with this name."
   @spec find(module(), String.t()) :: {:ok, pid()} | :error
   def find(kind, name) do
     case Registry.lookup(@registry, {:sensor, kind, name}) do
@@ -36,7 +38,7 @@ defmodule Situ.Studio.Sensor.Inbox do
     end
   end
 
-  @doc "Makes the caller the page of this sensor; `:error` where another is."
+  @doc "Registers the caller as the page of this sensor. Returns `:error` if another page is registered."
   @spec join(module(), String.t(), pid()) :: :ok | :error
   def join(kind, name, sensor) do
     with {:ok, _} <- Registry.register(@registry, {:sensor_page, kind, name}, nil) do
@@ -47,7 +49,7 @@ defmodule Situ.Studio.Sensor.Inbox do
     end
   end
 
-  @doc "The connection of the page that is this sensor."
+  @doc "Fetches the connection of the page that is this sensor."
   @spec page(module(), String.t()) :: {:ok, pid()} | :error
   def page(kind, name) do
     case Registry.lookup(@registry, {:sensor_page, kind, name}) do
@@ -71,7 +73,7 @@ defmodule Situ.Studio.Sensor.Inbox do
 
   def info(%__MODULE__{} = inbox, _other), do: inbox
 
-  # Two clocks that are measured against each other may step back a little.
+  # Times are converted between two clocks, and may step back a little.
   defp push(inbox, output, time, data) do
     case inbox.last do
       %{^output => last} when time <= last ->
@@ -87,7 +89,7 @@ defmodule Situ.Studio.Sensor.Inbox do
     end
   end
 
-  # These are as few as the page was given leave for.
+  # The page's credit already limits this queue.
   defp limit(%{credited: output} = inbox, output), do: inbox
 
   defp limit(inbox, output) do
@@ -99,7 +101,7 @@ defmodule Situ.Studio.Sensor.Inbox do
     end
   end
 
-  @doc "At most `n` of what waits, the earliest first."
+  @doc "Takes at most `n` of the waiting values, earliest first."
   @spec take(t(), non_neg_integer()) :: {[Situ.Component.action()], t()}
   def take(%__MODULE__{} = inbox, n), do: take(inbox, n, [])
 
@@ -129,7 +131,7 @@ defmodule Situ.Studio.Sensor.Inbox do
 
   defp credit(_output, inbox), do: inbox
 
-  @doc "Tells the page that the pipeline has ended."
+  @doc "Notifies the page that the pipeline has ended."
   @spec ended(t()) :: :ok
   def ended(%__MODULE__{page: nil}), do: :ok
 
@@ -140,5 +142,5 @@ defmodule Situ.Studio.Sensor.Inbox do
 
   @spec describe(t()) :: String.t()
   def describe(inbox),
-    do: "#{if inbox.page, do: "a page is there", else: "no page"}, #{inbox.dropped} dropped"
+    do: "#{if inbox.page, do: "page connected", else: "no page"}, #{inbox.dropped} dropped"
 end

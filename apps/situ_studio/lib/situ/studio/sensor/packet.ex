@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Sensor.Packet do
   @moduledoc false
-  # How a sensor reads what its page sends: bytes of the outside, so whatever is none of it is `:error`.
+  # Parses the data that a sensor's page sends. The bytes are untrusted, so anything invalid is `:error`.
 
-  @doc "The page's time, ms since 1970, and what is to be put out."
+  @doc "Returns the page's time (ms since 1970) and the values to emit."
   @callback parse(binary()) :: {float(), [{atom(), term()}]} | :error
 end

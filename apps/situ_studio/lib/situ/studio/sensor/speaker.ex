@@ -1,10 +1,10 @@
 defmodule Situ.Studio.Sensor.Speaker do
   @moduledoc """
-  Plays sound in the page of a sensor (`Situ.Studio.Sensor`).
+  Plays audio in the page of a sensor (`Situ.Studio.Sensor`).
 
       Situ.Studio.Sensor.Speaker.play(assistant.sound, page: "phone")
 
-  Sound is played as it comes; without a page it is nobody's. A page that does not take it loses it.
+  Audio is played when it arrives. It is lost if no page is connected, or if the page does not read its messages.
   """
   use Situ.Component,
     inputs: [in: Situ.AudioBuffer],
@@ -13,7 +13,7 @@ defmodule Situ.Studio.Sensor.Speaker do
   alias Situ.Sound
   alias Situ.Studio.Sensor
 
-  # More than that a page that reads has not left lying.
+  # A page that reads its messages never has this many in its mailbox.
   @most 100
 
   @doc "Connects the speaker to `stream`; returns `stream`."

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Source.Adapted do
   @moduledoc """
-  A source whose messages have gone through an adapter (`Situ.Studio.Adapter`). Messages that it makes nothing of are
-  holes.
+  A source whose messages are converted by an adapter (`Situ.Studio.Adapter`). Messages that the adapter cannot convert
+  are gaps.
   """
   @behaviour Situ.Studio.Source
 
@@ -11,7 +11,7 @@ defmodule Situ.Studio.Source.Adapted do
   @scan 100_000
   @sample 2_000
 
-  @doc "The source as the adapter shows it; the source itself without one."
+  @doc "Wraps a source in an adapter. Returns the source unchanged if there is no adapter."
   @spec of(Source.t(), module() | nil) :: Source.t()
   def of(source, nil), do: source
   def of(source, adapter), do: {__MODULE__, {source, adapter}}

@@ -1,7 +1,8 @@
 defmodule Situ.Studio.Source.Beside do
   @moduledoc """
-  Two sources on one time axis: the streams of the second have `Compared.` before their names, and all their times are
-  shifted by an offset, also those of intervals inside of messages. Streams of the first with such a name are hidden.
+  Combines two sources on one time axis. The names of the second source's streams begin with `Compared.`, and all their
+  times are shifted by an offset, including the times of intervals inside messages. Streams of the first source with
+  such a name are hidden.
 
       iex> [first, second] = for _ <- 1..2, do: Situ.Studio.History.new(live: false)
       iex> :ok = Situ.Studio.History.put(second, "Level", %Situ.Message{data: 20, originating_time: 5}, 8)
@@ -24,13 +25,13 @@ defmodule Situ.Studio.Source.Beside do
 
   @type t :: %__MODULE__{first: Source.t(), second: Source.t(), offset: Situ.Time.duration()}
 
-  @doc "Both, the second shifted by `offset` ns."
+  @doc "Combines two sources and shifts the second by `offset` ns."
   @spec of(Source.t(), Source.t(), Situ.Time.duration()) :: Source.t()
   def of(first, second, offset),
     do: {__MODULE__, %__MODULE__{first: first, second: second, offset: offset}}
 
   @doc """
-  Whether a stream is one of the second source.
+  Returns whether a stream belongs to the second source.
 
       iex> Enum.map(["Compared.Level", "Level"], &Situ.Studio.Source.Beside.second?/1)
       [true, false]
@@ -38,7 +39,7 @@ defmodule Situ.Studio.Source.Beside do
   @spec second?(String.t()) :: boolean()
   def second?(name), do: String.starts_with?(name, @prefix)
 
-  @doc "The name in the comparison of a stream of the second source."
+  @doc "Returns the name that a stream of the second source has in the comparison."
   @spec name(String.t()) :: String.t()
   def name(stream), do: @prefix <> stream
 
@@ -171,7 +172,7 @@ defmodule Situ.Studio.Source.Beside do
     }
   end
 
-  # Intervals of time are drawn where they say.
+  # Intervals are drawn at the times that they contain, so those are shifted as well.
   defp within(%Interval{left: left, right: right} = interval, offset),
     do: %{interval | left: bound(left, offset), right: bound(right, offset)}
 
@@ -193,7 +194,7 @@ defmodule Situ.Studio.Source.Beside do
 
   defp within(data, _offset), do: data
 
-  # Of a map of lanes only what is an interval, or a list of them.
+  # In a map of lanes, only intervals and lists of intervals are shifted.
   defp lane(value, offset) when is_map(value) or is_list(value) or is_tuple(value),
     do: within(value, offset)
 

@@ -1,8 +1,9 @@
 defmodule Situ.Studio.Source.Derived do
   @moduledoc """
-  A source with streams that are computed as they are read: a stream called `= EXPRESSION` has the expression's value
-  (`Situ.Expression`) at every message of the streams it names, each with the value of its latest message. The name says
-  all there is to say, so layouts and links hold derived streams, and nothing is stored or run but the expression.
+  Adds derived streams to a source, which are computed when they are read. A stream called `= EXPRESSION` has a message
+  at the time of every message of the streams that the expression names. Its value is the expression's
+  (`Situ.Expression`), given the latest message of each of these streams. The name is the complete definition, so
+  layouts and links can contain derived streams.
 
       iex> history = Situ.Studio.History.new(live: false)
       iex> message = %Situ.Message{data: 20, originating_time: 5}
@@ -19,7 +20,7 @@ defmodule Situ.Studio.Source.Derived do
   alias Situ.Studio.{Source, StreamInfo}
   alias Situ.Studio.Draw.{Bins, Messages}
 
-  # So many values say of which kind a derived stream is.
+  # The shape of a derived stream is determined from this many values.
   @looked_at 16
   @most 200_000
 
@@ -28,12 +29,12 @@ defmodule Situ.Studio.Source.Derived do
 
   @type t :: %__MODULE__{source: Source.t()}
 
-  @doc "The source with derived streams."
+  @doc "Wraps a source to add derived streams."
   @spec wrap(Source.t()) :: Source.t()
   def wrap(source), do: {__MODULE__, %__MODULE__{source: source}}
 
   @doc """
-  Whether a name is that of a derived stream.
+  Returns whether a name is that of a derived stream.
 
       iex> Situ.Studio.Source.Derived.name?("= a + 1")
       true
@@ -42,8 +43,8 @@ defmodule Situ.Studio.Source.Derived do
   def name?(name), do: String.starts_with?(name, "= ")
 
   @doc """
-  The name of the stream of an expression, and what is known of it. Errors: `:bad_expression`, `:no_stream`,
-  `:constant` (it names no stream).
+  Builds the information on the derived stream of an expression. Errors: `:bad_expression`, `:no_stream`, `:constant`
+  (the expression names no stream).
   """
   @spec derive(Source.t(), String.t()) :: {:ok, StreamInfo.t()} | {:error, Error.t()}
   def derive(source, text) do
@@ -66,8 +67,8 @@ defmodule Situ.Studio.Source.Derived do
   end
 
   defp unknown(name) do
-    Error.new(:no_stream, "there is no stream called #{inspect(name)} here",
-      fix: "names with points stand in backticks: `Room.Level`"
+    Error.new(:no_stream, "unknown stream #{inspect(name)}",
+      fix: "put names that contain dots in backticks: `Room.Level`"
     )
   end
 
@@ -152,7 +153,7 @@ defmodule Situ.Studio.Source.Derived do
           uniq: true,
           do: message
 
-    # nobody knows what lies between them: no two are neighbours
+    # There may be other messages between these, so no two of them have adjacent positions.
     {:ok, Enum.with_index(messages, &{2 * &2, &1})}
   end
 
@@ -250,13 +251,13 @@ defmodule Situ.Studio.Source.Derived do
         do:
           {:error,
            Error.new(:constant, "the expression names no stream",
-             fix: "name one, such as `Room.Level` (in backticks where the name has points)"
+             fix: "name one, such as `Room.Level` (in backticks if the name contains dots)"
            )},
         else: {:ok, expression}
     end
   end
 
-  # The value of an expression at a time, given the latest message of each stream.
+  # Evaluates an expression at a time, given the latest message of each stream.
   defp value(expression, messages, time) do
     env =
       for {name, m} <- messages, reduce: %{} do

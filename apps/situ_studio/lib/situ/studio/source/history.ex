@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Source.History do
   @moduledoc """
-  A `Situ.Studio.History` as a source: signals folded from the messages themselves.
+  Provides a `Situ.Studio.History` as a source. Signals are folded from the messages themselves.
   """
   @behaviour Situ.Studio.Source
 
@@ -135,5 +135,5 @@ defmodule Situ.Studio.Source.History do
 
   defp found(_, _, _), do: :none
 
-  defp gone, do: {:error, Situ.Error.new(:gone, "the pipeline is gone")}
+  defp gone, do: {:error, Situ.Error.new(:gone, "the pipeline no longer exists")}
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Source.Pipeline do
   @moduledoc """
-  A running pipeline as a source: its named streams, tapped when something is drawn of them. Everything seen stays to be
-  looked at for five minutes, also after the pipeline has ended.
+  Provides a running pipeline as a source: its named streams, which are tapped when they are drawn. Messages remain
+  available for five minutes, even after the pipeline has ended.
   """
   @behaviour Situ.Studio.Source
 
@@ -10,8 +10,8 @@ defmodule Situ.Studio.Source.Pipeline do
   alias Situ.Studio.Source.History
 
   @typedoc """
-  A pipeline, or a function that finds it again (of one that a supervisor restarts); with a title or without. `{:all,
-  find}` is a function that finds several, as `Situ.Cluster.pipelines/0`.
+  A pipeline, or a function that finds it again (for a pipeline that a supervisor restarts), with or without a title.
+  `{:all, find}` has a function that finds several pipelines, such as `Situ.Cluster.pipelines/0`.
   """
   @type spec ::
           Pipeline.target()
@@ -19,7 +19,7 @@ defmodule Situ.Studio.Source.Pipeline do
           | {String.t(), spec()}
           | {:all, (() -> [spec()])}
 
-  @doc "The pipelines among `specs` that run now, by their titles."
+  @doc "Lists the pipelines among `specs` that are running, with their titles."
   @spec running([spec()]) :: [{String.t(), Pipeline.target() | (() -> Pipeline.target())}]
   def running(specs) do
     for spec <- specs,
@@ -29,7 +29,7 @@ defmodule Situ.Studio.Source.Pipeline do
         do: {title, target}
   end
 
-  # Those of a cluster come and go.
+  # The pipelines of a cluster change over time.
   defp each({:all, find}) when is_function(find, 0), do: find.()
   defp each(spec), do: [spec]
 
@@ -44,7 +44,7 @@ defmodule Situ.Studio.Source.Pipeline do
     :exit, _ -> nil
   end
 
-  @doc "A source for the pipeline called `title`, watched under `supervisor`."
+  @doc "Opens a source for the pipeline called `title`, watched under `supervisor`."
   @spec open([spec()], String.t(), Supervisor.supervisor()) ::
           {:ok, Source.t()} | {:error, Error.t()}
   def open(specs, title, supervisor) do
@@ -54,7 +54,7 @@ defmodule Situ.Studio.Source.Pipeline do
         {:ok, {__MODULE__, Watch.handle(pid)}}
 
       nil ->
-        {:error, Error.new(:not_running, "no pipeline called #{inspect(title)} runs")}
+        {:error, Error.new(:not_running, "pipeline #{inspect(title)} is not running")}
     end
   end
 
@@ -67,7 +67,8 @@ defmodule Situ.Studio.Source.Pipeline do
     end
   end
 
-  # Before anything was seen the pipeline's clock tells where its times are: a replay's are those of the recording.
+  # Before the first message, the extent is the current time of the pipeline's clock, which a replay sets to the time of
+  # its recording.
   defp seen?(watch), do: :ets.info(watch.history.messages, :size) not in [0, :undefined]
   defp at_clock(extent, now), do: %{extent | from: now, to: now}
 
@@ -88,11 +89,11 @@ defmodule Situ.Studio.Source.Pipeline do
     end
   end
 
-  @doc "The pipeline's graph and numbers now, for the page of its graph."
+  @doc "Returns the pipeline's current graph and statistics, for the page of its graph."
   @spec snapshot(Watch.t()) :: {:ok, Situ.Diagnostics.Snapshot.t()} | {:error, Error.t()}
   def snapshot(watch), do: Watch.snapshot(watch)
 
-  @doc "Where the message of one originating time is now."
+  @doc "Traces the message of one originating time."
   @spec trace(Watch.t(), Situ.Time.t()) :: {:ok, Situ.Diagnostics.Trace.t()} | {:error, Error.t()}
   def trace(watch, time), do: Watch.trace(watch, time)
 
@@ -123,7 +124,7 @@ defmodule Situ.Studio.Source.Pipeline do
   def next_after(watch, stream, time),
     do: wanted(watch, stream, &History.next_after(&1, stream, time))
 
-  # A stream that cannot be tapped any more, or not at the moment, still has its past.
+  # The earlier messages of a stream remain available if it cannot be tapped.
   defp wanted(watch, stream, read) do
     case Watch.want(watch, stream) do
       :ok ->

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Source.Session do
   @moduledoc """
-  A session of a dataset as a source: all its recordings on one time axis. The streams of several partitions have the
-  partition's name before theirs (`Room.Video`), those of one alone keep their own.
+  Provides a session of a dataset as a source, with all its recordings on one time axis. If there are several
+  partitions, the names of their streams begin with the partition's name (`Room.Video`).
 
       iex> {:error, error} = Situ.Studio.Source.Session.open([{"Room", "/nowhere/room.0000"}])
       iex> error.code
@@ -15,14 +15,14 @@ defmodule Situ.Studio.Source.Session do
   @enforce_keys [:paths, :parts]
   defstruct [:paths, :parts, broken: []]
 
-  @typedoc "`paths` are what was asked for, `parts` what could be opened, under the prefix of its streams."
+  @typedoc "`paths` are the requested recordings, and `parts` the opened ones with the prefixes of their streams."
   @type t :: %__MODULE__{
           paths: [{String.t(), Path.t()}],
           parts: [{prefix :: String.t(), Source.t()}],
           broken: [String.t()]
         }
 
-  @doc "Opens the recordings `[{partition, path}]` that can be opened; the error of the first where none can."
+  @doc "Opens the recordings `[{partition, path}]` as far as possible. Returns the first error if none can be opened."
   @spec open([{String.t(), Path.t()}]) :: {:ok, Source.t()} | {:error, Error.t()}
   def open(paths) do
     opened = for {name, path} <- paths, do: {name, Source.Store.open(path)}
@@ -54,7 +54,7 @@ defmodule Situ.Studio.Source.Session do
     end
   end
 
-  # A recording without messages has no times to speak of.
+  # The extents of recordings without messages are meaningless.
   defp cover(extents) do
     timed = Enum.reject(extents, &(&1.from == &1.to and &1.from == 0))
     timed = if timed == [], do: extents, else: timed
@@ -112,7 +112,8 @@ defmodule Situ.Studio.Source.Session do
   def next_after(session, stream, time),
     do: ask(session, stream, &Source.call(&1, :next_after, [&2, time]))
 
-  # Names of partitions and of streams may hold dots: the first part that knows the rest of the name is meant.
+  # Names of partitions and streams may contain dots. The first part that contains the rest of the name is used, longest
+  # prefix first.
   defp ask(%__MODULE__{parts: parts}, stream, fun) do
     parts
     |> Enum.filter(fn {prefix, _} -> String.starts_with?(stream, prefix) end)
@@ -129,5 +130,5 @@ defmodule Situ.Studio.Source.Session do
   end
 
   defp unknown(stream),
-    do: {:error, Error.new(:no_stream, "there is no stream called #{inspect(stream)} here")}
+    do: {:error, Error.new(:no_stream, "unknown stream #{inspect(stream)}")}
 end

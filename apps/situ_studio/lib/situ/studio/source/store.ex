@@ -1,9 +1,9 @@
 defmodule Situ.Studio.Source.Store do
   @moduledoc """
-  A recording as a source: a store's folder or a foreign file, closed or still being written.
+  Provides a recording as a source: a store's folder or an external file, closed or still being written.
 
-  A table keeps the extents and the list of streams for a moment, since a page asks for them at every picture: a live
-  page costs the store one look per picture and not one per panel.
+  A table caches the extents and the list of streams briefly, because a page requests them whenever it draws. Thus a
+  live page reads the store's catalog once per redraw and not once per panel.
   """
   @behaviour Situ.Studio.Source
 
@@ -21,12 +21,12 @@ defmodule Situ.Studio.Source.Store do
   @fresh_ms 500
   @samples 2_000
   @inside 8
-  # So many messages are read one by one, and so many changes told.
+  # Up to this many messages are read individually, and up to this many changes are returned.
   @few 2_000
   @changes 2_000
 
   @doc """
-  Opens a recording, with options of its reader. Called by the process that is to keep it: the table ends with it.
+  Opens a recording, with options of its reader. The table is deleted when the calling process ends.
   """
   @spec open(Path.t(), keyword()) :: {:ok, Source.t()} | {:error, Error.t()}
   def open(path, reader_opts \\ []) do
@@ -38,7 +38,7 @@ defmodule Situ.Studio.Source.Store do
     end
   end
 
-  # Field names are atoms that exist once their struct's module is loaded, and a reader makes no atoms.
+  # Field names are atoms that exist only after their struct's module was loaded, and a reader creates no atoms.
   defp load(type) when is_atom(type), do: Situ.KnownModules.load?(type)
   defp load(type) when is_tuple(type), do: type |> Tuple.to_list() |> Enum.each(&load/1)
   defp load(types) when is_list(types), do: Enum.each(types, &load/1)
@@ -56,7 +56,7 @@ defmodule Situ.Studio.Source.Store do
     end
   end
 
-  # The catalog as it was a moment ago.
+  # Returns the cached catalog, or reads it again.
   defp look(%__MODULE__{cache: cache} = source) do
     now = System.monotonic_time(:millisecond)
 
@@ -87,7 +87,7 @@ defmodule Situ.Studio.Source.Store do
   def damage(%__MODULE__{store: store}) do
     missing =
       for file <- Store.missing_files(store),
-          do: "#{Path.basename(file)} is missing: its messages cannot be read"
+          do: "#{Path.basename(file)} is missing, so its messages cannot be read"
 
     case Store.info(store) do
       %{damage: [_ | _] = damage} -> missing ++ ["#{length(damage)} parts are damaged"]
@@ -97,7 +97,7 @@ defmodule Situ.Studio.Source.Store do
     error in Error -> [Exception.message(error)]
   end
 
-  # A file may be deleted and another put in its place: the open one would go on showing what is no longer there.
+  # If the file was deleted and replaced, the open one would keep showing outdated data.
   defp same?(%__MODULE__{cache: cache} = source, live?) do
     case {stamp(source.path), :ets.lookup(cache, :stamp)} do
       {nil, _} ->
@@ -115,8 +115,8 @@ defmodule Situ.Studio.Source.Store do
     end
   end
 
-  # The index of a store, or the file itself; what is being written keeps its inode only. A recording of another machine
-  # stays the version that was opened.
+  # Returns the stamp of a store's index, or of the file itself. Only the inode is compared while a recording is being
+  # written. A recording on another machine remains the version that was opened.
   defp stamp(path), do: if(Formats.for_address(path), do: {:elsewhere, 0, 0}, else: on_disk(path))
 
   defp on_disk(path) do
@@ -134,7 +134,7 @@ defmodule Situ.Studio.Source.Store do
   end
 
   defp gone(source) do
-    {:error, Error.new(:gone, "the recording #{Path.basename(source.path)} is gone")}
+    {:error, Error.new(:gone, "the recording #{Path.basename(source.path)} no longer exists")}
   end
 
   defp stream(source, info) do
@@ -143,7 +143,7 @@ defmodule Situ.Studio.Source.Store do
         {"On disk", info.stored > 0 && Figures.bytes(info.stored)},
         {"Average size", info.count > 0 && Figures.bytes(div(info.size, info.count))},
         {"Compression", info.compression != :none && to_string(info.compression)},
-        {"Large messages", info.large? && "kept apart"},
+        {"Large messages", info.large? && "stored separately"},
         {"First created", info.first_creation && {:time, info.first_creation}},
         {"Last created", info.last_creation && {:time, info.last_creation}},
         {"Opened", info.opened && {:time, info.opened}},
@@ -170,7 +170,7 @@ defmodule Situ.Studio.Source.Store do
     }
   end
 
-  # A type that says nothing is known by some of the messages, and so are the lanes of maps.
+  # If a stream's type does not determine its shape or its lanes, some of its messages do.
   defp look_inside(%__MODULE__{cache: cache} = source, info) do
     case {StreamInfo.shape(info.type), :ets.lookup(cache, {:inside, info.name})} do
       {_, [{_, inside}]} -> inside
@@ -194,7 +194,7 @@ defmodule Situ.Studio.Source.Store do
     with {:ok, %{infos: infos}} <- look(source) do
       case infos do
         %{^name => info} -> {:ok, info}
-        _ -> {:error, Error.new(:no_stream, "there is no stream called #{inspect(name)} here")}
+        _ -> {:error, Error.new(:no_stream, "unknown stream #{inspect(name)}")}
       end
     end
   end
@@ -236,7 +236,7 @@ defmodule Situ.Studio.Source.Store do
   def summary(source, name, from, to, bins) do
     with {:ok, info} <- info(source, name),
          {:ok, n} when n > @few <- Store.count(source.store, info, from, to) do
-      # of a map's key only the counts of bins tell that it is no longer there
+      # The end of a map's key is visible only in the counts of bins.
       keyed? = elem(look_inside(source, info), 0) in [:states, :spans, :value]
       changes = if keyed?, do: 0, else: @changes
       Store.Summary.read(source.store, info, from, to, bins, changes: changes)
@@ -280,7 +280,7 @@ defmodule Situ.Studio.Source.Store do
          do: {:ok, for({_, message} <- rows, do: mark(message)), :more}
   end
 
-  # Of `n` messages from `from` on at most about `keep`, evenly by number.
+  # Reads at most about `keep` of the `n` messages from `from` on, evenly by number.
   defp some(%{store: store}, info, from, n, keep, opts) do
     {:ok, first} = Store.ordinal(store, info, from)
 

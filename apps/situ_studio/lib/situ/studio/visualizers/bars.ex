@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.Bars do
   @moduledoc """
-  Bars of a message: a list of numbers, a map from names to numbers, or a list of `{name, number}`; a map from names to
-  such lists is several series. They can be lines, areas or a plot over x, too, upright or lying.
+  Bars of a message: a list of numbers, a map from names to numbers, or a list of `{name, number}`. A map from names to
+  such lists is several series. They can also be drawn as lines, areas or a plot over x, vertically or horizontally.
 
       iex> Situ.Studio.Visualizers.Bars.of(%{"b" => 2, "a" => 1.5})
       [["a", 1.5], ["b", 2]]
@@ -35,9 +35,9 @@ defmodule Situ.Studio.Visualizers.Bars do
       Option.color() ++
         [
           kind: [type: {:in, @kinds}, title: "Drawn as", default: "bars"],
-          lying: [type: :boolean, title: "Lying", default: false],
-          x_title: [type: :text, title: "Title of the names"],
-          y_title: [type: :text, title: "Title of the values"]
+          lying: [type: :boolean, title: "Horizontal", default: false],
+          x_title: [type: :text, title: "Title of the name axis"],
+          y_title: [type: :text, title: "Title of the value axis"]
         ] ++ Option.near()
 
     %Visualizer{
@@ -57,7 +57,7 @@ defmodule Situ.Studio.Visualizers.Bars do
   defp drawn([], data), do: series(data)
   defp drawn(rows, _data), do: [["", rows]]
 
-  @doc "`[name, rows]` of each list in a map of lists, by name; empty when `term` is nothing of the kind."
+  @doc "Returns `[name, rows]` for each list in a map of lists, by name, or an empty list for any other term."
   @spec series(term()) :: [[String.t() | [[String.t() | number()]]]]
   def series(%_{}), do: []
 
@@ -75,7 +75,7 @@ defmodule Situ.Studio.Visualizers.Bars do
 
   def series(_), do: []
 
-  @doc "`[label, value]` in order; empty when `term` is nothing of the kind."
+  @doc "Returns `[label, value]` pairs in order, or an empty list for a term that cannot be drawn as bars."
   @spec of(term()) :: [[String.t() | number()]]
   def of(%_{}), do: []
 

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.Broken do
-  @moduledoc "Stands for a visualizer whose plug-in could not be loaded: its panel says why."
+  @moduledoc "Replaces a visualizer whose plug-in could not be loaded. Its panel shows the reason."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Visualizer}

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.Frames do
   @moduledoc """
-  A tree of frames of reference: where each lies in its root, for the other layers of the panel that are given in one of
-  them. The panel is drawn in the frame `fixed`, or in the first root.
+  A tree of frames of reference. It gives the panel's other layers, which may be in one of these frames, the pose of
+  each frame in its root. The panel is drawn in the frame `fixed`, or in the first root.
   """
   @behaviour Situ.Studio.Visualizer
 
@@ -42,7 +42,7 @@ defmodule Situ.Studio.Visualizers.Frames do
          else: ({:error, error} -> {:error, error.what})
   end
 
-  # Those that hold at all times are mostly told once, at the beginning.
+  # Transforms that are always valid are usually sent only once, at the beginning.
   defp read(source, stream, time) do
     with {:ok, first, _} <- Source.call(source, :messages, [stream, 0, time, @first]),
          {:ok, near, _} <- Messages.within(source, stream, time - @window, time + @second) do
@@ -63,8 +63,8 @@ defmodule Situ.Studio.Visualizers.Frames do
   defp told(_), do: []
 
   @doc """
-  Every frame with its parent, its root and, column by column, the matrix that takes it there; without a matrix where it
-  is not known at that time.
+  Returns every frame with its parent, its root and the matrix (column by column) that transforms it to the root. There
+  is a problem instead of a matrix if the transform is unknown at that time.
 
       iex> alias Situ.Space.Frames
       iex> {:ok, frames} = Frames.put_static(Frames.new(), "lamp", "room", Situ.Pose.new({0.0, 0.0, 2.0}))
@@ -91,7 +91,7 @@ defmodule Situ.Studio.Visualizers.Frames do
     %{"frames" => rows}
   end
 
-  # Trees have no circles: Frames refuses them.
+  # The recursion ends, because `Situ.Space.Frames` rejects cycles.
   defp root(name, parents), do: if(parents[name], do: root(parents[name], parents), else: name)
 
   defp columns(pose) do

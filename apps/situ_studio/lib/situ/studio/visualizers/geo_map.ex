@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.GeoMap do
   @moduledoc """
-  Places on the Earth (`Situ.GeoPoint`, or maps with latitude and longitude) on a map: the way of the whole recording,
-  and where it is at the cursor. `Situ.GeoPoint.of/1` lists the values that are places.
+  Positions on the Earth (`Situ.GeoPoint`, or maps with latitude and longitude) on a map: the track of the whole
+  recording, and the position at the cursor. `Situ.GeoPoint.of/1` lists the values that are positions.
   """
   @behaviour Situ.Studio.Visualizer
 
@@ -9,7 +9,7 @@ defmodule Situ.Studio.Visualizers.GeoMap do
   alias Situ.Studio.{Draw.Bins, Draw.Messages, Frame, Path, Source, Visualizer}
   alias Situ.Studio.Visualizers.Option
 
-  # The points of a way that are drawn at most.
+  # The maximum number of points drawn of a track.
   @most 5_000
 
   @impl true
@@ -75,7 +75,7 @@ defmodule Situ.Studio.Visualizers.GeoMap do
         })
 
       :error ->
-        {:error, "this message is no place: it needs a latitude and a longitude"}
+        {:error, "this message does not contain a position: it needs a latitude and a longitude"}
     end
   end
 end

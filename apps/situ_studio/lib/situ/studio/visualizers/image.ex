@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.Image do
-  @moduledoc "The picture at the cursor."
+  @moduledoc "The image at the cursor."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Draw.Picture, Frame, Visualizer}
@@ -11,7 +11,7 @@ defmodule Situ.Studio.Visualizers.Image do
 
     %Visualizer{
       id: "image",
-      title: "Picture",
+      title: "Image",
       panel: :image,
       shapes: [:image],
       options: options,

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.Labels do
-  @moduledoc "Texts, each from its message until the next."
+  @moduledoc "Texts, each shown from its message until the next."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Draw.Segments, Visualizer}

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.Latency do
-  @moduledoc "Milliseconds between a message's originating and its creation time, a stem each."
+  @moduledoc "The latency of each message (from its originating to its creation time, in milliseconds) as a stem."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Source, Visualizer}

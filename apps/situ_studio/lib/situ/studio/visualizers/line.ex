@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.Line do
-  @moduledoc "One number over time, of a whole stream or of a part of its messages."
+  @moduledoc "One number over time, from a whole stream or from a part of its messages."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Draw, Frame, Path, Source, Visualizer}
@@ -40,7 +40,8 @@ defmodule Situ.Studio.Visualizers.Line do
          do: Frame.series(channel, points, raw?)
   end
 
-  # Lines without a summary in the source come from the messages; of too many, from a sample, which the frame marks.
+  # Without a summary in the source, a line is built from the messages. If there are too many, it is built from a
+  # sample, which the frame marks.
   defp of_messages(source, channel, spec, from, to, bin) do
     with {:ok, messages, all?} <- Messages.around(source, spec, from, to) do
       {points, raw?} = messages |> of(spec.path) |> Bins.fold(bin, @points)
@@ -49,7 +50,7 @@ defmodule Situ.Studio.Visualizers.Line do
   end
 
   @doc """
-  The line of the number at `path` in each message; where it is missing, or `nil`, the line has a gap.
+  Builds the line of the number at `path` in each message. If it is missing or `nil`, the line has a gap.
 
       iex> messages = for {t, v} <- [{0, %{a: 1}}, {1, %{}}], do: %Situ.Message{data: v, originating_time: t}
       iex> Situ.Studio.Visualizers.Line.of(messages, [{:name, "a"}])

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Visualizers.Lines do
   @moduledoc """
-  A line for each key of maps of numbers. Where a value is missing, or `nil`, a line has a gap.
+  A line for each key of maps of numbers. If a value is missing or `nil`, its line has a gap.
 
       iex> maps = [{0, %{a: 1}}, {1, %{a: 2, b: 5}}, {2, %{b: 6}}]
       iex> messages = for {t, v} <- maps, do: %Situ.Message{data: v, originating_time: t}
@@ -62,11 +62,11 @@ defmodule Situ.Studio.Visualizers.Lines do
     end
   end
 
-  @doc "A line for each key of the maps at `path`, by the keys' names."
+  @doc "Builds a line for each key of the maps at `path`, sorted by the keys' names."
   @spec of_maps([Situ.Message.t()], Path.t()) :: [{name :: String.t(), line()}]
   def of_maps(messages, path), do: messages |> by_key(path) |> named()
 
-  # Lines of numbers, newest first.
+  # Collects the lines that contain numbers, newest point first.
   defp by_key(messages, path) do
     messages
     |> Enum.reduce(%{}, &add(&2, &1, path))
@@ -96,7 +96,7 @@ defmodule Situ.Studio.Visualizers.Lines do
     end
   end
 
-  # A key that is no longer there ends its line, once.
+  # When a key disappears, its line ends with one gap.
   defp end_missing(lines, values, time) do
     Enum.reduce(lines, lines, fn {key, [last | _] = line}, lines ->
       if is_map_key(values, key) or Bins.gap?(last),

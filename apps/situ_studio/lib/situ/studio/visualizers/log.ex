@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Visualizers.Log do
   @moduledoc """
-  The messages around the cursor as a list: when each came, and what it says in a few words.
+  The messages around the cursor as a list, each with its time and a short text.
 
       iex> Situ.Studio.Visualizers.Log.row(%Situ.Message{data: {:ok, 3}, originating_time: 7}, [])
       ["7", "{:ok, 3}"]
@@ -26,7 +26,7 @@ defmodule Situ.Studio.Visualizers.Log do
     Frame.json(channel, time, %{"rows" => rows, "at" => length(before)})
   end
 
-  @doc "The time of a message as text, and in a few words what it says at a path."
+  @doc "Returns the time of a message as text, and its value at a path in a few words."
   @spec row(Message.t(), Path.t()) :: [String.t()]
   def row(message, path) do
     said =

@@ -1,9 +1,9 @@
 defmodule Situ.Studio.Visualizers.Masks do
   @moduledoc """
-  Masks over pictures: a picture whose values are the numbers of classes (`Situ.Infer.Segmentation`), or a list of
-  `:gray8` pictures, each bright where the object in its box is (`Situ.Infer.ObjectDetector`). The boxes come with the
-  masks as pairs (`{rect, mask}`), or from the stream of `Situ.Rect`s that has as many at the same time. They go to the
-  page as runs: a value, and how often it follows itself, from the upper left corner on.
+  Masks over images: an image whose values are class numbers (`Situ.Infer.Segmentation`), or a list of `:gray8` images,
+  each bright where the object in its box is (`Situ.Infer.ObjectDetector`). The boxes come with the masks as pairs
+  (`{rect, mask}`), or from the stream that has the same number of `Situ.Rect`s at the same time. The page receives
+  masks as runs: a value and its number of repetitions, from the upper left corner on.
 
       iex> image = Situ.Image.new!(width: 2, height: 2, format: :gray8, data: <<0, 7, 7, 7>>)
       iex> Situ.Studio.Visualizers.Masks.runs(image)
@@ -15,16 +15,16 @@ defmodule Situ.Studio.Visualizers.Masks do
   alias Situ.Studio.{Frame, Source, Visualizer}
   alias Situ.Studio.Visualizers.Option
 
-  # More in one picture cannot be told apart, and larger ones say no more.
+  # More masks in one image cannot be distinguished, and larger ones add no detail.
   @most 200
   @pixels 4_194_304
   @fits [
-    {"pad", "the square around the picture"},
+    {"pad", "the square around the image"},
     {"crop", "the square in its middle"},
-    {"whole", "the whole picture"}
+    {"whole", "the whole image"}
   ]
 
-  @typedoc "Classes by their numbers, or objects in their boxes."
+  @typedoc "An image of class numbers, or objects with their boxes."
   @type found :: {:classes, Image.t()} | {:objects, [{Rect.t(), Image.t()}]}
 
   @impl true
@@ -39,7 +39,7 @@ defmodule Situ.Studio.Visualizers.Masks do
 
     %Visualizer{
       id: "masks",
-      title: "Masks over pictures",
+      title: "Masks over images",
       panel: :image,
       shapes: [:masks, :image],
       options: options,
@@ -53,7 +53,7 @@ defmodule Situ.Studio.Visualizers.Masks do
          do: Frame.json(channel, message.originating_time, told(found))
   end
 
-  @doc "The classes in a message's data, or the objects, each with its box; or the reason why there are none."
+  @doc "Fetches the classes in a message's data, or the objects with their boxes, or the reason why there are none."
   @spec found(term(), Source.t(), String.t(), Situ.Time.t()) ::
           {:ok, found()} | {:error, String.t()}
   def found(%Image{} = image, _source, _stream, _time) do
@@ -65,12 +65,12 @@ defmodule Situ.Studio.Visualizers.Masks do
   def found([%Image{} | _] = masks, source, stream, time) do
     case rects(source, stream, time, length(masks)) do
       {:ok, rects} -> boxes(Enum.zip(rects, masks))
-      :none -> {:error, "there is no stream with as many rectangles at the same time"}
+      :none -> {:error, "no stream has as many rectangles at the same time"}
     end
   end
 
   def found([], _source, _stream, _time), do: {:ok, {:objects, []}}
-  def found(_, _, _, _), do: {:error, "this message holds no masks"}
+  def found(_, _, _, _), do: {:error, "this message does not contain masks"}
 
   defp boxes(pairs) do
     objects =
@@ -98,7 +98,7 @@ defmodule Situ.Studio.Visualizers.Masks do
   end
 
   defp gray(%Image{width: w, height: h}) when w * h > @pixels,
-    do: {:error, "a mask of #{w} x #{h} is larger than any that is drawn"}
+    do: {:error, "a mask of #{w} x #{h} is too large to draw"}
 
   defp gray(%Image{format: :gray8} = image) do
     case Image.validate(image) do
@@ -107,9 +107,9 @@ defmodule Situ.Studio.Visualizers.Masks do
     end
   end
 
-  defp gray(%Image{format: format}), do: {:error, "masks are :gray8 pictures, not #{format}"}
+  defp gray(%Image{format: format}), do: {:error, "masks must be :gray8 images, not #{format}"}
 
-  # The nearest by its name first: a detector's outputs share the beginning of theirs.
+  # Tries the streams with the most similar names first, because the outputs of a detector share a prefix.
   defp rects(source, stream, time, count) do
     with {:ok, infos} <- Source.call(source, :streams, []) do
       infos
@@ -134,7 +134,7 @@ defmodule Situ.Studio.Visualizers.Masks do
 
   defp shared(a, b), do: :binary.longest_common_prefix([a, b])
 
-  @doc "A `:gray8` picture as runs."
+  @doc "Encodes a `:gray8` image as runs."
   @spec runs(Image.t()) :: map()
   def runs(%Image{width: w, height: h} = image),
     do: %{"width" => w, "height" => h, "runs" => image |> Image.pixels() |> runs([])}

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Visualizers.Option do
   @moduledoc false
-  # Options that several visualizers share, as `Situ.Studio.Visualizer` describes them.
+  # Options that several visualizers share, in the format of `Situ.Studio.Visualizer`.
 
   @spec visible() :: keyword()
   def visible, do: [visible: [type: :boolean, title: "Visible", default: true]]
@@ -12,7 +12,7 @@ defmodule Situ.Studio.Visualizers.Option do
   def flip, do: [flip: [type: :boolean, title: "Mirror", default: false]]
 
   @ranges [
-    {"auto", "each picture's own range"},
+    {"auto", "the range of each image"},
     {"fixed", "a fixed range"},
     {"all", "all 16 bits"},
     {"nfov_binned", "Azure Kinect, narrow, binned"},
@@ -22,7 +22,7 @@ defmodule Situ.Studio.Visualizers.Option do
   ]
   @values {:range, 0, 65_535}
 
-  # Which distances the colours of a depth picture span, by a choice called `name` and two numbers for its "fixed".
+  # Options for the distances that a depth image's colours span: a choice called `name`, and two numbers for "fixed".
   @spec depth_range(atom(), keyword()) :: keyword()
   def depth_range(name, about) do
     fixed = {name, "fixed"}
@@ -36,7 +36,7 @@ defmodule Situ.Studio.Visualizers.Option do
 
   @longest 1.0e6
 
-  # Which message counts as that of the cursor: the last one at or before it, or one that is near enough.
+  # Options for the message that is shown at the cursor: the last one at or before it, or another message near enough.
   @spec near() :: keyword()
   def near do
     [
@@ -45,11 +45,11 @@ defmodule Situ.Studio.Visualizers.Option do
     ]
   end
 
-  @doc "Those of `near/0` that the server is told."
+  @doc "Returns the options of `near/0` that are sent to the server."
   @spec asks() :: [atom()]
   def asks, do: [:past, :future]
 
-  # So many channels can be chosen.
+  # The number of channels to choose from.
   @channels 8
 
   @spec channel() :: keyword()

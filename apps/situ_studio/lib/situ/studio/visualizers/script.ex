@@ -1,11 +1,11 @@
 defmodule Situ.Studio.Visualizers.Script do
   @moduledoc """
-  The server's half of a visualizer that is a script only: the message at the cursor, or those of some seconds before
-  it, as JSON.
+  The server's half of a visualizer that consists of a script only. It sends the message at the cursor, or the messages
+  of some seconds before it, as JSON.
 
-  Numbers, texts, `true`, `false` and `nil` are themselves, atoms are texts, lists and tuples are arrays, maps and
-  structs objects (a struct says its name as `"type"`). Bytes that are no text come as `{"bytes": how many}`: pictures
-  and sound have visualizers.
+  Numbers, strings, `true`, `false` and `nil` stay the same. Atoms become strings, lists and tuples become arrays, and
+  maps and structs become objects (a struct has its name as `"type"`). Bytes that are not text become `{"bytes": SIZE}`,
+  because images and audio have visualizers.
 
       iex> Situ.Studio.Visualizers.Script.plain({:left, %Situ.Point2{x: 1.5, y: 2}})
       {:ok, ["left", %{"type" => "Situ.Point2", "x" => 1.5, "y" => 2}]}
@@ -31,7 +31,7 @@ defmodule Situ.Studio.Visualizers.Script do
     end
   end
 
-  # `rows` are [milliseconds before the newest, data], the oldest first.
+  # `rows` contains `[milliseconds before the newest, data]`, oldest first.
   def instant(channel, _data, message, %{source: source, spec: spec}) do
     to = message.originating_time
     settings = Visualizer.settings(spec.viz, Map.get(spec, :props, %{}))
@@ -69,9 +69,9 @@ defmodule Situ.Studio.Visualizers.Script do
     end
   end
 
-  defp too_much, do: "more than #{@values} values are more than a script is given"
+  defp too_much, do: "a script cannot receive more than #{@values} values"
 
-  @doc "A term as JSON can hold it; `:error` where it is too large."
+  @doc "Converts a term for JSON. Returns `:error` if it is too large."
   @spec plain(term()) :: {:ok, term()} | :error
   def plain(term) do
     case walk(term, @values) do
@@ -118,7 +118,7 @@ defmodule Situ.Studio.Visualizers.Script do
   defp each([], done, left), do: {Enum.reverse(done), left - 1}
   defp each(_, done, left) when left <= 0, do: {done, 0}
 
-  # One with an improper end gives what stands there as its last.
+  # The tail of an improper list becomes its last element.
   defp each(tail, done, left) do
     {value, left} = walk(tail, left)
     {Enum.reverse([value | done]), left}

@@ -1,10 +1,10 @@
 defmodule Situ.Studio.Visualizers.Shapes do
   @moduledoc """
-  Rectangles, points, lines and texts over pictures, found in any term: a `Situ.Rect`, a `Situ.Point2`, a line (a pair
-  of points, or a map of two points `from` and `to`), lists, tuples and maps of them, and structs that have some in
-  their fields (a face with its box and landmarks). A trail of some seconds shows where they have been.
+  Rectangles, points, lines and texts over images, found in any term: a `Situ.Rect`, a `Situ.Point2`, a line (a pair of
+  points, or a map of two points `from` and `to`), lists, tuples and maps of them, and structs with such fields (a face
+  with its box and landmarks). A trail shows where they were in the last seconds.
 
-  A struct whose points are packed offers them through `points/1` of its module, as `[{x, y}]`.
+  A struct with packed points provides them through `points/1` of its module, as `[{x, y}]`.
 
       iex> Situ.Studio.Visualizers.Shapes.of([%Situ.Point2{x: 1.0, y: 2.0}])
       %{"lines" => [], "points" => [[1.0, 2.0, nil]], "rects" => [], "texts" => []}
@@ -19,7 +19,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
 
   @limit 5_000
   @depth 6
-  # A trail is made of so many messages, and of so many things in each.
+  # A trail consists of at most this many messages, with at most this many shapes of each kind.
   @past 300
   @trailed 200
 
@@ -37,7 +37,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
 
     %Visualizer{
       id: "shapes",
-      title: "Shapes over pictures",
+      title: "Shapes over images",
       panel: :image,
       shapes: [:shapes],
       options: options,
@@ -59,7 +59,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
     end
   end
 
-  # Where things were before: the part of the trail that has gone by since (1 at its end), and what was there then.
+  # Returns `[age, points, lines]` of earlier messages. The age is a share of the trail's duration (1 at its end).
   defp trail(source, spec, {from, to}) do
     for %{originating_time: time, data: data} <- before(source, spec.stream, from, to - 1),
         {:ok, data} <- [Path.fetch(data, spec.path)] do
@@ -86,7 +86,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
     end
   end
 
-  @doc "The shapes to draw, as the page reads them."
+  @doc "Returns the shapes to draw, in the page's format."
   @spec of(term()) :: map()
   def of(term) do
     {rects, points, texts, _} = walk(term, nil, {[], [], [], @limit}, 0)
@@ -100,7 +100,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
     }
   end
 
-  @doc "Whether there is anything to draw in `term`."
+  @doc "Returns whether `term` contains anything to draw."
   @spec any?(term()) :: boolean()
   def any?(term) do
     {rects, points, _, _} = walk(term, nil, {[], [], [], 50}, 0)
@@ -127,7 +127,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
        when is_number(x) and is_number(y),
        do: {rects, [[x, y, text(label)] | points], texts, left - 1}
 
-  # Lines are kept among the points, from where `of/1` takes them.
+  # Lines are collected with the points, and are separated from them at the end.
   defp walk({%Situ.Point2{} = a, %Situ.Point2{} = b}, _, acc, _), do: line(a, b, acc)
 
   defp walk(%{from: %Situ.Point2{} = a, to: %Situ.Point2{} = b}, _, acc, _), do: line(a, b, acc)
@@ -154,7 +154,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
     walk_tail(tail, label, walk(head, label, acc, depth + 1), depth)
   end
 
-  # A rectangle with its name beside it.
+  # A rectangle paired with its name.
   defp walk({%Situ.Rect{} = rect, label}, _, acc, depth) when is_binary(label),
     do: walk(rect, label, acc, depth)
 
@@ -172,7 +172,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
 
   defp line(_, _, acc), do: acc
 
-  # A file may claim anything to be a mesh: one that its own module cannot read is not drawn.
+  # A file may contain invalid structs. Those that their own module cannot read are not drawn.
   defp packed(module, struct, left) do
     if function_exported?(module, :points, 1) do
       for {x, y} when is_number(x) and is_number(y) <- Enum.take(module.points(struct), left),

@@ -1,11 +1,11 @@
 defmodule Situ.Studio.Visualizers.Space do
   @moduledoc """
-  Objects in space, in three dimensions: clouds, meshes, boxes, poses, rays, skeletons, cameras with their pictures
+  Objects in three dimensions: point clouds, meshes, boxes, poses, rays, skeletons, and cameras with their images
   (`Situ.Studio.Scene.Terms`).
 
-  Of clouds with more points than "Points at most" a thinned one is sent first. When the viewer rests, the page asks
-  again with the property `within`: the planes around what is seen, as a list of numbers, four for each. The answer
-  holds the clouds alone, as many of their points as there may be, all of them from there.
+  A cloud with more points than "Maximum points" is first sent thinned. When the viewer comes to rest, the page sends
+  another request with the property `within`: the planes around the visible part of the scene, as a list of four numbers
+  each. The reply contains only clouds, with as many points of that part as the limit allows.
   """
   @behaviour Situ.Studio.Visualizer
 
@@ -28,7 +28,7 @@ defmodule Situ.Studio.Visualizers.Space do
     {"10000000", "10 million"}
   ]
   @texts [{"viewer", "facing the viewer"}, {"plane", "in their plane"}]
-  @depths [{"points", "points"}, {"surface", "a surface"}, {"picture", "a picture"}]
+  @depths [{"points", "points"}, {"surface", "a surface"}, {"picture", "an image"}]
 
   @impl true
   def about do
@@ -48,7 +48,7 @@ defmodule Situ.Studio.Visualizers.Space do
           point_mm: [type: {:range, 0, 10_000}, title: "and at least, mm", default: 0],
           thickness: [type: {:range, 1, 500}, title: "Thickness, mm", default: 15],
           opacity: [type: {:range, 0, 100}, title: "Opacity, %", default: 100],
-          plane: [type: {:range, 0.05, 100}, title: "Picture plane at, m", default: 1],
+          plane: [type: {:range, 0.05, 100}, title: "Image plane at, m", default: 1],
           labels: [type: :boolean, title: "Labels", default: true],
           text_as: [type: {:in, @texts}, title: "Texts", default: "viewer"],
           text_height: [
@@ -68,10 +68,10 @@ defmodule Situ.Studio.Visualizers.Space do
         [
           focal: [
             type: {:range, 1, 20_000},
-            title: "Focal length of pictures without a lens, px",
+            title: "Focal length of images without a lens, px",
             default: 500
           ],
-          budget: [type: {:in, @budgets}, title: "Points at most", default: "1000000"],
+          budget: [type: {:in, @budgets}, title: "Maximum points", default: "1000000"],
           axis: [type: {:range, 0.01, 10}, title: "Axes, m", default: 0.2],
           ray: [type: {:range, 0.01, 100}, title: "Rays, m", default: 1],
           threshold: [type: {:range, -1.0e9, 1.0e9}, title: "Voxels above", default: 0]
@@ -86,7 +86,7 @@ defmodule Situ.Studio.Visualizers.Space do
       {[], []} ->
         if Scene.Terms.nothing?(data),
           do: Frame.scene(channel, message.originating_time, [], []),
-          else: {:error, "nothing of this message is in space"}
+          else: {:error, "this message does not contain anything in space"}
 
       {[], [what | _]} ->
         {:error, what}
@@ -97,7 +97,7 @@ defmodule Situ.Studio.Visualizers.Space do
     end
   end
 
-  @doc "The settings for the walk over a message, from the properties."
+  @doc "Builds the settings for collecting a message's items, from the properties."
   @spec settings(Visualizer.spec()) :: Scene.Terms.settings()
   def settings(%{viz: viz} = spec) do
     props = Map.get(spec, :props, %{})
@@ -116,7 +116,7 @@ defmodule Situ.Studio.Visualizers.Space do
     }
   end
 
-  # Of a view: the planes around what it sees, four numbers each.
+  # Parses the planes around the visible part of a scene, four numbers each.
   defp planes(numbers) when is_list(numbers) and length(numbers) <= 32 do
     if rem(length(numbers), 4) == 0 and
          Enum.all?(numbers, &(is_number(&1) and abs(&1) < 1.0e30)),

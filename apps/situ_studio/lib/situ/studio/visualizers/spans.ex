@@ -1,10 +1,10 @@
 defmodule Situ.Studio.Visualizers.Spans do
   @moduledoc """
-  Intervals of time inside of messages, drawn from their beginning to their end whatever the message's own time: a
-  `Situ.Interval` of times, anything with `start` and `stop` (or `end`) in nanoseconds and perhaps a `text`, `label` or
-  `name` (a stretch of speech), a `text` with `from` and `to` (a recognised sentence), an interval and its text as a
-  pair, lists of these, and maps from names of lanes to these. While somebody speaks a recogniser's texts follow one
-  another (`final?: false`): of these only the newest is drawn.
+  Time intervals in messages, drawn from their start to their end, whatever the message's own time. Accepted are a
+  `Situ.Interval` of times, anything with `start` and `stop` (or `end`) in nanoseconds and optionally a `text`, `label`
+  or `name` (an utterance), a `text` with `from` and `to` (a recognised sentence), a pair of an interval and its text,
+  lists of these, and maps from names of lanes to these. During an utterance, a recogniser sends several drafts of its
+  text (`final?: false`), of which only the newest is drawn.
 
       iex> Situ.Studio.Visualizers.Spans.of(%{"Ada" => [%{start: 10, stop: 20, text: "hello"}]}, 25)
       [{10, 20, "hello", "span", "Ada"}]
@@ -29,7 +29,7 @@ defmodule Situ.Studio.Visualizers.Spans do
   @impl true
   def about, do: %Visualizer{id: "spans", title: "Intervals", panel: :lanes, shapes: [:spans]}
 
-  # Intervals may begin before the window, or arrive after it: so many messages on both sides are read.
+  # Intervals may begin before the window, or arrive after it, so this many messages on both sides are read as well.
   @around 8
 
   @impl true
@@ -53,12 +53,12 @@ defmodule Situ.Studio.Visualizers.Spans do
     end
   end
 
-  # A draft is not drawn beside what the next message says anew.
+  # A draft is not drawn if a later message replaces it.
   defp settled([%{data: %{final?: false}} | [_ | _] = rest]), do: settled(rest)
   defp settled([message | rest]), do: [message | settled(rest)]
   defp settled([]), do: []
 
-  @doc "The intervals in a message's data, in order; `time` is where those without a beginning begin."
+  @doc "Returns the intervals in a message's data, in order. Intervals without a start begin at `time`."
   @spec of(term(), Situ.Time.t()) :: [Segments.t()]
   def of(data, time) do
     case lanes(data, time) do
@@ -70,7 +70,7 @@ defmodule Situ.Studio.Visualizers.Spans do
     end
   end
 
-  @doc "Whether structs of this module are intervals."
+  @doc "Returns whether structs of this module are intervals."
   @spec struct?(module()) :: boolean()
   def struct?(Interval), do: true
 
@@ -97,7 +97,7 @@ defmodule Situ.Studio.Visualizers.Spans do
   defp spans([_ | _] = list, lane, time), do: all(list, &span(&1, lane, time))
   defp spans(value, lane, time), do: span(value, lane, time)
 
-  # All of them, or it is something else. An improper list is something else.
+  # Either all elements are intervals, or the data is not. An improper list is not, either.
   defp all([], _), do: {:ok, []}
 
   defp all([head | tail], fun) do
@@ -126,7 +126,7 @@ defmodule Situ.Studio.Visualizers.Spans do
 
   defp span(_, _, _), do: :error
 
-  # Only beside a text: `from` and `to` alone may as well be places.
+  # `from` and `to` need a text, because without one they may be positions.
   defp said(%{text: text, from: from, to: to}, lane)
        when is_binary(text) and is_integer(from) and is_integer(to),
        do: {:ok, [{from, max(from, to), label(text), "span", lane}]}

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.Spectrogram do
   @moduledoc """
-  Which frequencies a sound has over time. The page gets a short piece of sound for each of some hundred places of the
-  window and transforms them in a worker; zoomed out, the pieces are samples of what lies between them.
+  The frequencies of audio over time. The page receives a short segment of audio for each of some hundred positions in
+  the window and transforms them in a worker. When the view is zoomed out, the segments are samples of the audio.
   """
   @behaviour Situ.Studio.Visualizer
 
@@ -32,7 +32,7 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
     with {:ok, rate} <- rate(source, stream, from) do
       length = div(@samples * @second, rate) + 1
       step = max(div(to - from, @columns), length)
-      # places are those of the step everywhere, so that a view that moves has the same pieces
+      # Positions are multiples of the step, so that a view that moves has the same segments.
       first = Integer.floor_div(from, step) * step
 
       pieces =
@@ -42,7 +42,7 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
     end
   end
 
-  # `nil` where there is no sound: none was recorded, not enough of it, or only silence.
+  # Returns `nil` if there is not enough audio, or only silence.
   defp piece(source, {stream, channel}, time, length) do
     case Sound.samples(source, stream, time, time + length, channel) do
       {:ok, {_, _, <<@silence, _::binary>>}} -> nil
@@ -51,7 +51,7 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
     end
   end
 
-  # All together are those of the first.
+  # If all channels are chosen, the first one is shown.
   defp chosen(%{props: %{"channel" => <<digit>>}}) when digit in ?1..?8, do: digit - ?1
   defp chosen(_), do: 0
 
@@ -61,7 +61,7 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
       {:ok, 16_000}
     else
       {:ok, %{data: %Situ.AudioBuffer{format: format}}} -> {:ok, format.rate}
-      {:ok, _} -> {:error, Situ.Error.new(:no_sound, "these messages hold no sound")}
+      {:ok, _} -> {:error, Situ.Error.new(:no_sound, "these messages do not contain audio")}
       {:error, error} -> {:error, error}
     end
   end

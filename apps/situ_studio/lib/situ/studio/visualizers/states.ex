@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.States do
-  @moduledoc "States that hold until the next message: booleans, atoms, and maps of them, a lane for each key."
+  @moduledoc "States that hold until the next message: booleans, atoms, and maps of them with a lane for each key."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Draw, Source, Visualizer}
@@ -14,7 +14,7 @@ defmodule Situ.Studio.Visualizers.States do
       shapes: [:boolean, :state, :states]
     }
 
-  # Of more messages than can be told apart the source's summary is drawn; of a part of a message there is none.
+  # If there are too many messages to distinguish, the source's summary is drawn. Parts of messages have no summary.
   @impl true
   def window(source, channel, %{stream: stream, path: []} = spec, from, to, bin) do
     case Source.summary(source, stream, from, to, max(div(to - from, bin), 2)) do
@@ -39,7 +39,7 @@ defmodule Situ.Studio.Visualizers.States do
   def window(source, channel, spec, from, to, bin),
     do: Segments.window(source, channel, spec, from, to, bin)
 
-  # A hole may reach beyond the window. The first of the bins, which are whole, may hold the message before.
+  # A gap may extend beyond the window. The first bin is complete and may therefore contain the message before it.
   defp beside([{first, _} | _] = counts, before, later) do
     before = if before != nil and before < first, do: [{before, 1}], else: []
     before ++ counts ++ if(later, do: [{later, 1}], else: [])

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.Trail do
   @moduledoc """
-  Where something in space has been until the cursor: of every message of the last seconds its points, a line through
-  the first of each.
+  The past positions of objects in space: the points of every message in the last seconds before the cursor, and a line
+  through the first point of each message.
   """
   @behaviour Situ.Studio.Visualizer
 
@@ -44,7 +44,7 @@ defmodule Situ.Studio.Visualizers.Trail do
       cond do
         ways != [] -> Frame.scene(channel, to, items(ways), [])
         nothing?(messages, spec.path) -> Frame.scene(channel, to, [], [])
-        true -> {:error, "nothing of these messages has a place"}
+        true -> {:error, "these messages do not contain positions"}
       end
     else
       {:error, error} -> {:error, error.what}
@@ -73,7 +73,7 @@ defmodule Situ.Studio.Visualizers.Trail do
   end
 
   @doc """
-  The places of a message, the first of them first.
+  Returns the positions in a message, in order.
 
       iex> message = %Situ.Message{data: Situ.Pose.new({1.0, 2.0, 3.0}), originating_time: 0}
       iex> Situ.Studio.Visualizers.Trail.places(message, [])

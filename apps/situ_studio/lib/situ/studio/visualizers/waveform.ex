@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.Waveform do
   @moduledoc """
-  Sound as the band between its extremes: of all channels together, or of one. One channel is made of the samples, so
-  where more than two minutes are asked for all are drawn together, and the frame says so.
+  Audio as the band between its extremes, of all channels together or of one. A single channel is computed from the
+  samples. Therefore a window of more than two minutes shows all channels together, and the frame says so.
   """
   @behaviour Situ.Studio.Visualizer
 
@@ -15,7 +15,7 @@ defmodule Situ.Studio.Visualizers.Waveform do
   @impl true
   def about do
     heard = [
-      solo: [type: :boolean, title: "Hear this channel only", default: false],
+      solo: [type: :boolean, title: "Play this channel only", default: false],
       mute: [type: :boolean, title: "Mute", default: false]
     ]
 
@@ -89,8 +89,8 @@ defmodule Situ.Studio.Visualizers.Waveform do
     end
   end
 
-  # A buffer's time is that of its end, so the first buffer that ends after the cursor sounds at the cursor if it has
-  # begun. In a gap the value is the last sample of the buffer before, and the page shows its age.
+  # A buffer's time is its end, so the first buffer that ends after the cursor is heard at the cursor if it has already
+  # begun. In a gap the value is the last sample of the previous buffer, and the page shows its age.
   defp fetch_sounding(source, stream, time) do
     case Source.call(source, :next_after, [stream, time]) do
       {:ok, %{data: %AudioBuffer{} = buffer, originating_time: stop} = message} ->

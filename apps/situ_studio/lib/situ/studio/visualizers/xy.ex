@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.XY do
   @moduledoc """
-  Numbers over one another: the panel's first stream is x, the others are y, at the times of their messages in the view.
-  Each stream comes as its line does.
+  Numbers plotted against each other: the panel's first stream is x and the others are y, at the times of their messages
+  in the view. The data of each stream is the same as for a line.
   """
   @behaviour Situ.Studio.Visualizer
 

@@ -1,25 +1,25 @@
 defmodule Situ.Studio.Web.Address do
   @moduledoc false
-  # Links are relative to the base of the page (`Chrome.base/1`): behind a proxy there may be a path before them.
+  # Links are relative to the page's `<base>` element, because a proxy may put a path before the studio's own.
 
-  @doc "The path of the page that shows an item."
+  @doc "Returns the path of the page that shows a recording, a stream source or a pipeline."
   @spec of(String.t()) :: String.t()
   def of(id), do: "s/" <> encode(id)
 
-  @doc "The path of the page of a dataset."
+  @doc "Returns the path of a dataset's page."
   @spec dataset(String.t()) :: String.t()
   def dataset(id), do: "d/" <> encode(id)
 
-  @doc "The path of the page of whatever it is."
+  @doc "Returns the path of an item's page, whatever the item's kind."
   @spec item(%{:id => String.t(), :kind => atom(), optional(atom()) => term()}) :: String.t()
   def item(%{id: id, kind: :dataset}), do: dataset(id)
   def item(%{id: id}), do: of(id)
 
-  @doc "The path of its small picture."
+  @doc "Returns the path of an item's thumbnail."
   @spec thumbnail(String.t()) :: String.t()
   def thumbnail(id), do: "data/thumbnail?" <> URI.encode_query(%{"source" => id})
 
-  @doc "The path of the page that shows its pipeline's graph."
+  @doc "Returns the path of the page that shows a pipeline's graph."
   @spec pipeline(String.t()) :: String.t()
   def pipeline(id), do: "p/" <> encode(id)
 

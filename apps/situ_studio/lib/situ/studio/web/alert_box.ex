@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Web.AlertBox do
   @moduledoc false
-  # The alerts of a running pipeline, on its pages: what is true now, since when, and what was, until when.
+  # Lists the alerts of a running pipeline on its page: active alerts with their start time, and cleared ones with both
+  # times.
   use Situ.Live.Component
 
   attr(:alerts, :list, required: true)

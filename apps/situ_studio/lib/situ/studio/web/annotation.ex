@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.Annotation do
   @moduledoc false
-  # Annotating in the main view: a dialog that opens or makes a stream of annotations, the panel where they are
-  # edited, and the page's edits on their way to `Situ.Studio.Annotating`.
+  # Annotation in the main view: a dialog that opens or creates an annotation stream, the panel that edits it, and the
+  # events that pass the page's edits to `Situ.Studio.Annotating`.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
@@ -11,11 +11,11 @@ defmodule Situ.Studio.Web.Annotation do
   alias Situ.Studio.Annotating.{Comparison, Proposals, SchemaForm, Schemas, Shelf}
   alias Situ.Studio.Web.SchemaDialog
 
-  @doc "Whether there is something on disk to annotate, and it is allowed."
+  @doc "Returns whether the item is a recording on disk and the studio may write to it."
   @spec offered?(map()) :: boolean()
   def offered?(%{read_only: read_only, item: item}), do: item.kind == :store and not read_only
 
-  @doc "The stream that an address asks for, opened if it is there."
+  @doc "Opens the annotation stream that the page's address names, if it exists."
   @spec restore(Socket.t(), map()) :: Socket.t()
   def restore(socket, %{"annotate" => stream}) when is_binary(stream) and stream != "" do
     if offered?(socket.assigns) and stream in Shelf.streams(socket.assigns.item.path),
@@ -33,7 +33,7 @@ defmodule Situ.Studio.Web.Annotation do
         {:noreply,
          toast(
            socket,
-           "This cannot be annotated: annotations need a recording on disk and a studio that is not read only"
+           "Cannot annotate this: annotations need a recording on disk and a studio that is not read-only"
          )}
   end
 
@@ -51,19 +51,19 @@ defmodule Situ.Studio.Web.Annotation do
          {:ok, schema} <- chosen(params, name, String.slice(values, 0, 4_000), socket.assigns) do
       socket |> assign(dialog: nil) |> open(layer(name, params["by"]), schema)
     else
-      "" -> toast(socket, "The annotations need a name")
+      "" -> toast(socket, "Enter a name for the annotations")
       {:error, error} -> toast(socket, Exception.message(error))
     end
   end
 
-  # The same schema for another person: a layer of their own, to compare with the first.
+  # A layer with the same schema for another annotator, so that the two layers can be compared.
   defp event("annotation_own", %{"stream" => stream, "by" => by}, socket)
        when is_binary(stream) and is_binary(by) do
     own = layer(stream, by)
 
     with true <-
            own != stream or
-             {:error, Situ.Error.new(:no_name, "the layer needs the annotator's name")},
+             {:error, Situ.Error.new(:no_name, "the layer needs the name of its annotator")},
          {:ok, editor} <-
            Annotating.open(socket.assigns.studio, socket.assigns.item.path, stream, nil) do
       socket |> assign(dialog: nil) |> open(own, Editor.layer(editor).schema)
@@ -108,20 +108,21 @@ defmodule Situ.Studio.Web.Annotation do
     end
   end
 
-  # For the annotations of other recordings.
+  # Saves the schema so that other recordings can use it.
   defp event("annotation_schema_keep", _, %{assigns: %{dialog: {:schema, draft, _}}} = socket) do
     with %{editor: editor} <- socket.assigns.annotation,
          name = Editor.layer(editor).schema.name,
          {:ok, schema, _} <- SchemaForm.schema(name, draft),
          :ok <- Schemas.keep(socket.assigns.layout_dir, schema) do
-      toast(socket, "Kept for other recordings as #{name}")
+      toast(socket, "Saved as #{name} for other recordings")
     else
       {:error, error} -> assign(socket, dialog: {:schema, draft, Exception.message(error)})
       nil -> socket
     end
   end
 
-  # A comment on a time or a range: a stream of texts like any other. Where two overlap the later is a row below.
+  # A marker comments on a time or a range. Markers are an ordinary annotation stream of texts; a marker that overlaps
+  # an earlier one goes to the next track.
   defp event("annotation_marker", %{"from" => from, "to" => to, "text" => text} = params, socket)
        when is_binary(text) do
     %{studio: studio, item: %{path: path}} = socket.assigns
@@ -162,7 +163,7 @@ defmodule Situ.Studio.Web.Annotation do
   defp event("annotation_close", _, socket), do: assign(socket, annotation: nil)
   defp event("annotation_ready", _, socket), do: tell(socket)
 
-  # A stream may be long: the page goes on meanwhile.
+  # A stream may be long, so a task searches it while the page stays responsive.
   defp event(
          "annotation_propose",
          %{"stream" => stream} = params,
@@ -181,10 +182,10 @@ defmodule Situ.Studio.Web.Annotation do
       end
     end)
 
-    toast(socket, "Looking through #{stream} ...")
+    toast(socket, "Searching #{stream} ...")
   end
 
-  # Tracks of all layers, whose boundaries can be copied.
+  # Lists the tracks of all layers, so that the user can copy their boundaries.
   defp event("annotation_tracks", _, %{assigns: %{annotation: %{}}} = socket) do
     %{studio: studio, item: %{path: path}} = socket.assigns
 
@@ -231,7 +232,7 @@ defmodule Situ.Studio.Web.Annotation do
     end
   end
 
-  # A schema that was kept before, or the one that the fields say.
+  # Uses the saved schema that the form names, or builds one from the form's fields.
   defp chosen(%{"schema" => kept}, _name, _values, assigns) when is_binary(kept) and kept != "",
     do: Schemas.load(assigns.layout_dir, kept)
 
@@ -241,7 +242,7 @@ defmodule Situ.Studio.Web.Annotation do
   defp schema("point", name, _), do: {:ok, Annotating.spatial(name, :point)}
   defp schema(_, name, values), do: Annotating.schema(name, values)
 
-  # A layer of somebody's own is named after them.
+  # The layer of a named annotator has that name as a suffix.
   defp layer(stream, by) when is_binary(by) do
     case by |> String.trim() |> String.slice(0, 40) do
       "" -> stream
@@ -258,14 +259,14 @@ defmodule Situ.Studio.Web.Annotation do
     end
   end
 
-  @doc "How many proposals a stream had, or why none."
+  @doc "Shows the number of proposals found in a stream, or the error."
   @spec proposed(Socket.t(), {:ok, non_neg_integer()} | {:error, Situ.Error.t()}) :: Socket.t()
   def proposed(socket, {:ok, 0}), do: toast(socket, "Nothing new to propose")
   def proposed(socket, {:ok, 1}), do: toast(socket, "1 proposal")
   def proposed(socket, {:ok, n}), do: toast(socket, "#{n} proposals")
   def proposed(socket, {:error, error}), do: toast(socket, Exception.message(error))
 
-  @doc "Opens a stream of annotations that there is."
+  @doc "Opens an existing annotation stream."
   @spec show(Socket.t(), String.t()) :: Socket.t()
   def show(socket, stream), do: open(socket, stream, nil)
 
@@ -280,7 +281,7 @@ defmodule Situ.Studio.Web.Annotation do
     end
   end
 
-  @doc "Looks whether another program has saved the annotations meanwhile; the editor tells of it."
+  @doc "Asks the editor to check whether another program has saved the annotations; it notifies the page if so."
   @spec refresh(Socket.t()) :: Socket.t()
   def refresh(%{assigns: %{annotation: %{editor: editor}}} = socket) do
     _ = Editor.refresh(editor)
@@ -291,7 +292,7 @@ defmodule Situ.Studio.Web.Annotation do
 
   def refresh(socket), do: socket
 
-  @doc "Sends the page the current annotations."
+  @doc "Sends the current annotations to the page."
   @spec tell(Socket.t()) :: Socket.t()
   def tell(%{assigns: %{annotation: %{editor: editor, stream: stream}}} = socket) do
     push_event(socket, "annotations", Annotating.told(editor, stream))
@@ -338,29 +339,30 @@ defmodule Situ.Studio.Web.Annotation do
       <form id="annotation-new" phx-submit="annotation_new">
         <label>New annotations <input name="name" placeholder="Speech" autocomplete="off" maxlength="60"
             required autofocus></label>
-        <label>Values, one a line: name, key, colour
+        <label>Values, one per line: name, key, color
           <textarea name="values" rows="4" placeholder={"speaks 1 #4ea1f3\nlaughs 2"}></textarea></label>
         <div class="inline">
           <select name="kind" aria-label="Kind of annotation"><option value="values">Segments in time</option><option
-              value="box">Boxes on pictures</option><option value="point">Points on pictures</option></select>
-          <input name="by" placeholder="annotator, if several" maxlength="40" autocomplete="off"
+              value="box">Boxes on images</option><option value="point">Points on images</option></select>
+          <input name="by" placeholder="annotator (optional)" maxlength="40" autocomplete="off"
               aria-label="Annotator">
-          <select :if={@schemas != []} name="schema" aria-label="Schema"><option value="">these values</option><option
-              :for={s <- @schemas} value={s}>the schema {s}</option></select>
+          <select :if={@schemas != []} name="schema" aria-label="Schema"><option
+              value="">Use the values above</option><option
+              :for={s <- @schemas} value={s}>Schema {s}</option></select>
         </div>
         <div class="choices">
           <button class="btn primary" type="submit">Annotate</button>
           <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
         </div>
-        <p class="hint">Annotations are kept beside the recording, which never changes. Every edit is saved at
-        once.</p>
+        <p class="hint">Annotations are saved next to the recording, which is never modified. Every edit is saved
+          immediately.</p>
       </form>
       <form :if={@streams != []} id="annotation-own" class="inline" phx-submit="annotation_own">
         <select name="stream" aria-label="Annotations whose schema is used"><option
             :for={s <- @streams} value={s}>{s}</option></select>
         <input name="by" placeholder="your name" maxlength="40" autocomplete="off" required
-            aria-label="Your name, for a layer of your own">
-        <button class="btn" type="submit">A layer of my own</button>
+            aria-label="Your name, for a separate layer">
+        <button class="btn" type="submit">Add my own layer</button>
       </form>
     </dialog>
     """

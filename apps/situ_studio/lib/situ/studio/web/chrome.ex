@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Chrome do
   @moduledoc false
-  # The frame around the panels: toolbar, timing, status line, dialogs.
+  # The frame around the panels: toolbar, time display, status bar and dialogs.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
 
@@ -23,7 +23,7 @@ defmodule Situ.Studio.Web.Chrome do
     """
   end
 
-  @doc "The page of something that cannot be shown: what, why and how to fix it."
+  @doc "Renders the page of an item that cannot be shown, with the error's what, why and fix."
   @spec failure(map()) :: Situ.Live.Rendered.t()
   def failure(assigns) do
     ~H"""
@@ -38,7 +38,7 @@ defmodule Situ.Studio.Web.Chrome do
     """
   end
 
-  # The texts of errors begin with a small letter and have no full stop, so that they can be put together.
+  # Error texts start in lower case and have no full stop, so that they can be joined into one line.
   defp sentence(text),
     do: capitalize(text) <> if(String.ends_with?(text, [".", "?", "!"]), do: "", else: ".")
 
@@ -48,7 +48,7 @@ defmodule Situ.Studio.Web.Chrome do
   attr(:damage, :list, required: true)
   attr(:path, :string, required: true)
 
-  @doc "That a recording is damaged, and the command that saves what is left."
+  @doc "Renders a notice that a recording is damaged, with the commands that list the damage and repair it."
   @spec damage(map()) :: Situ.Live.Rendered.t()
   def damage(assigns) do
     ~H"""
@@ -56,8 +56,8 @@ defmodule Situ.Studio.Web.Chrome do
       <b>This recording is damaged.</b>
       <span :for={what <- Enum.take(@damage, 3)}>{what}.</span>
       <span :if={length(@damage) > 3}>{length(@damage) - 3} more.</span>
-      <span><code>situ store verify '{@path}'</code> lists what is lost,
-        <code>situ store repair '{@path}'</code> keeps the rest.</span>
+      <span><code>situ store verify '{@path}'</code> lists the damage,
+        <code>situ store repair '{@path}'</code> saves everything that can still be read.</span>
     </div>
     """
   end
@@ -88,16 +88,16 @@ defmodule Situ.Studio.Web.Chrome do
           title="Playback speed; click for normal">1×</button>
         <.tool act="faster" icon={:faster} title="Double speed (.)" />
         <span class="sep"></span>
-        <.tool act="zoomAll" icon={:fit} title="View everything (Ctrl+A)" />
+        <.tool act="zoomAll" icon={:fit} title="Zoom to fit (Ctrl+A)" />
         <.tool act="zoomSel" icon={:zoom} title="Zoom to the selection (Ctrl+S)" />
         <.tool act="clearSel" icon={:clear} title="Clear the selection (Alt+C)" />
-        <.tool act="follow" icon={:follow} title="Cursor follows the mouse (Alt+F)" />
+        <.tool act="follow" icon={:follow} title="Move the cursor with the mouse (Alt+F)" />
         <span class="sep"></span>
-        <button class="tool live" type="button" data-act="live" title="Follow what is being recorded (l)"
+        <button class="tool live" type="button" data-act="live" title="Follow the live data (l)"
             disabled>LIVE</button>
         <span class="grow"></span>
         <button class="timing" type="button" data-act="timing"
-            title="Clock time, time since the start, or since the selection's start">
+            title="Switch between clock time, time since the start, and time since the start of the selection">
           <div class="c"><span id="t-from">Cursor</span><b id="t-cursor">–</b></div>
           <div class="a"><span>Selection from</span><b id="t-start">–</b></div>
           <div class="e"><span>to</span><b id="t-end">–</b></div>
@@ -119,10 +119,10 @@ defmodule Situ.Studio.Web.Chrome do
       <.tool :if={@annotate} act="annotate" icon={:mark} title="Annotate (a)" />
       <.tool act="undo" icon={:undo} title="Undo (Ctrl+Z)" />
       <.tool act="redo" icon={:redo} title="Redo (Ctrl+Shift+Z)" />
-      <.tool act="beside" icon={:beside} title="Pictures beside the timelines, or above (b)" />
+      <.tool act="beside" icon={:beside} title="Images next to the timelines, or above them (b)" />
       <.tool act="copyLink" icon={:link} title="Copy a link to this view" />
       <.tool act="right" icon={:side} title="Show or hide the properties (p)" />
-      <.tool act="theme" icon={:theme} title="Dark or light (t)" />
+      <.tool act="theme" icon={:theme} title="Switch between dark and light (t)" />
       <.tool act="help" icon={:help} title="Keys (?)" />
       <button id="more" class="tool" type="button" phx-hook="More" phx-update="ignore" data-more
           title="More tools" aria-label="More tools" aria-haspopup="menu"><.icon name={:more} /></button>
@@ -154,10 +154,10 @@ defmodule Situ.Studio.Web.Chrome do
       <span><i class="dot"></i><span id="connection" phx-update="ignore">connecting</span></span>
       <span>{@source}</span>
       <span>{count_text(length(@infos))}</span>
-      <span :if={@left_out > 0} title="Double-click or drag a stream in the list to show it"
+      <span :if={@left_out > 0} title="Double-click a stream in the list, or drag it, to show it"
           >{@left_out} not shown</span>
-      <span :if={@viewer} class="viewer" title="You came by a link that may look and not change">looking only</span>
-      <span :if={@read_only and not @viewer}>read only</span>
+      <span :if={@viewer} class="viewer" title="You opened a view-only link">view only</span>
+      <span :if={@read_only and not @viewer}>read-only</span>
       <button :if={@snap} class="snapped" type="button" phx-click="snap" phx-value-stream={@snap}
           title="Release the cursor">cursor snaps to {@snap} ×</button>
       <span class="grow"></span>
@@ -173,7 +173,7 @@ defmodule Situ.Studio.Web.Chrome do
   defp count_text(1), do: "1 stream"
   defp count_text(n), do: "#{n} streams"
 
-  # The number of streams that no panel shows.
+  # Counts the streams that no panel shows.
   defp count_left_out(infos, layout) do
     shown = for panel <- layout.rows, vis <- panel.vis, into: MapSet.new(), do: vis.stream
     Enum.count(infos, &(&1.name not in shown))
@@ -191,11 +191,11 @@ defmodule Situ.Studio.Web.Chrome do
           <div class="error" role="alert"></div>
         </form>
       </dialog>
-      <dialog id="help" aria-label="Keys"><h3>Keys</h3><dl tabindex="0"></dl>
+      <dialog id="help" aria-label="Keys"><h3>Keyboard shortcuts</h3><dl tabindex="0"></dl>
         <p
             class="hint">
           Mouse on a timeline: move = cursor, drag = pan, wheel = zoom, Shift+drag = select,
-          Shift+click and Shift+right click = ends of the selection.
+          Shift+click and Shift+right click = start and end of the selection.
         </p>
       </dialog>
       <dialog id="palette" aria-label="Commands"><input placeholder="Command or stream" autocomplete="off"

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.ClusterView do
   @moduledoc false
-  # The page of a cluster: its nodes, the parts of what is deployed with their streams, the links of all nodes, and who
-  # is catching up. It is there where the studio's own node is a member; it shows, and changes nothing.
+  # The page of a cluster: its nodes, the deployed parts with their streams, the links of all nodes, and readers that
+  # are catching up. The page is available if the studio's own node is a member. It only displays the cluster.
   use Situ.Live.View
   import Situ.Studio.Web.Icons
   alias Situ.Cluster.Overview
@@ -28,16 +28,16 @@ defmodule Situ.Studio.Web.ClusterView do
      if(connected?(socket) or not member?(), do: socket, else: assign(socket, now: Overview.now()))}
   end
 
-  @doc "Whether there is a cluster to show."
+  @doc "Returns whether the studio's node is a member of a cluster."
   @spec member?() :: boolean()
   def member?, do: Process.whereis(Situ.Cluster.Agent) != nil
 
-  # Whether the studio was told how to open what lies on other nodes.
+  # Returns whether the studio was configured to open recordings and pipelines of other nodes.
   defp opens?(studio) do
     match?([{_, %{nodes: true}}], Registry.lookup(Situ.Studio.Registry, studio))
   end
 
-  # Nodes that do not answer make nobody wait but this task.
+  # The overview is fetched in a task, so an unresponsive node does not block the page.
   defp look do
     page = self()
 
@@ -60,7 +60,7 @@ defmodule Situ.Studio.Web.ClusterView do
 
   def handle_info(_other, socket), do: {:noreply, socket}
 
-  # It has no buttons; a page of another version may send what this one does not know.
+  # This page has no buttons, but a page of another studio version may send events that are unknown here.
   @impl true
   def handle_event(_event, _params, socket), do: {:noreply, socket}
 
@@ -69,9 +69,9 @@ defmodule Situ.Studio.Web.ClusterView do
     ~H"""
     <main class="home cluster" id="cluster">
       <h1><a class="brand" href="." title="All recordings"><.logo /></a><span>Cluster</span></h1>
-      <p :if={@member} class="hint" role="status">Asking the nodes …</p>
-      <p :if={not @member} class="hint" role="status">The studio's node is no member of a cluster.
-        <code>situ cluster join NAME --log LOG --studio 4040</code> starts one that shows it.</p>
+      <p :if={@member} class="hint" role="status">Querying the nodes …</p>
+      <p :if={not @member} class="hint" role="status">The studio's node is not a member of a cluster.
+        <code>situ cluster join NAME --log LOG --studio 4040</code> starts a member with a studio that shows it.</p>
     </main>
     """
   end
@@ -91,7 +91,7 @@ defmodule Situ.Studio.Web.ClusterView do
         <caption>Nodes</caption>
         <thead><tr><th scope="col">Node</th><th scope="col" class="text">Labels, devices</th><th scope="col">Parts</th>
           <th scope="col">CPU</th><th scope="col">Machine</th><th scope="col">Memory</th>
-          <th scope="col">Away</th></tr></thead>
+          <th scope="col">Round trip</th></tr></thead>
         <tbody>
           <tr :for={n <- @now.nodes} :key={n.node}>
             <th scope="row">{n.node}{if n.node == @now.here, do: " (here)"}</th>
@@ -109,7 +109,7 @@ defmodule Situ.Studio.Web.ClusterView do
         <thead><tr><th scope="col">Part</th>
           <th scope="col" class="text">Node</th><th scope="col" class="text">State</th>
           <th scope="col">Checkpoints</th><th scope="col" class="text">Stream</th><th scope="col">Messages</th>
-          <th scope="col">A second</th>
+          <th scope="col">Per second</th>
           <th scope="col" class="text">Readers</th></tr></thead>
         <tbody>
           <tr :for={row <- rows(@now)} :key={row.key} class={to_string(row.part.phase)}>
@@ -126,11 +126,12 @@ defmodule Situ.Studio.Web.ClusterView do
           </tr>
         </tbody>
       </table>
-      <p :if={@now.parts == []} class="hint">Nothing is deployed. <code>situ cluster deploy MODULE</code> does it.</p>
+      <p :if={@now.parts == []} class="hint">Nothing is deployed. Run <code>situ cluster deploy MODULE</code>.</p>
       <table :if={@now.links != []} id="links">
         <caption>Links</caption>
         <thead><tr><th scope="col">To</th><th scope="col" class="text">Node</th><th scope="col" class="text">State</th>
-          <th scope="col">Bytes a second</th><th scope="col">Round trip</th><th scope="col">Clock</th></tr></thead>
+          <th scope="col">Bytes per second</th><th scope="col">Round trip</th>
+          <th scope="col">Clock offset</th></tr></thead>
         <tbody>
           <tr :for={l <- @now.links} :key={{l.node, l.address}} class={if l.connected?, do: "running", else: "failed"}>
             <th scope="row">{l.address}</th>
@@ -173,7 +174,7 @@ defmodule Situ.Studio.Web.ClusterView do
   defp parts_of(now, node), do: Enum.count(now.parts, &(&1.node == node))
   defp title(part), do: "#{part.deployment}/#{part.part}"
 
-  # A part has a row for each of its streams, and one where it has none.
+  # A part has one row for each of its streams, or a single row if it has no streams.
   defp rows(now) do
     for part <- now.parts,
         {stream, i} <- Enum.with_index(if part.streams == [], do: [nil], else: part.streams) do

@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Web.CompareBar do
   @moduledoc false
-  # Two recordings on one axis: which is compared with, and how far it is shifted. The page's script moves it.
+  # Compares two recordings on one time axis: selects the second recording and its time offset. The page's script lets
+  # the user drag the offset.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
   import Situ.Studio.Web.Icons
@@ -19,7 +20,7 @@ defmodule Situ.Studio.Web.CompareBar do
     {:noreply, assign(socket, dialog: {:compare, others})}
   end
 
-  # The page goes to the address that compares.
+  # The page then navigates to the address that shows the comparison.
   def handle_event("compare_with", %{"with" => other}, %{assigns: assigns} = socket) do
     case Comparison.open(assigns.studio, assigns.id, %{"with" => other}) do
       {:ok, _item, _source, %Comparison{} = compared} ->
@@ -34,7 +35,7 @@ defmodule Situ.Studio.Web.CompareBar do
     end
   end
 
-  # The page has shifted the second recording; whoever reads of it from now on gets the new times.
+  # The page has shifted the second recording. Later reads of it return the shifted times.
   def handle_event("compare_offset", %{"offset" => text}, %{assigns: assigns} = socket) do
     with %Comparison{} = compared <- assigns.compared,
          {:ok, offset} <- WholeNumber.parse(text) do
@@ -50,7 +51,7 @@ defmodule Situ.Studio.Web.CompareBar do
 
   def handle_event(_, _, socket), do: {:noreply, socket}
 
-  # Of a dataset its sessions are compared.
+  # In a dataset, sessions are compared with sessions.
   defp sessions(%{sources: sources}),
     do: for(%{kind: :session} = s <- sources, do: %{id: s.id, title: s.title, kind: :session})
 
@@ -65,15 +66,15 @@ defmodule Situ.Studio.Web.CompareBar do
         data-first={times(@compared.first)} data-second={times(@compared.second)}>
       <span class="who"><b>{@title}</b> and <b>{@compared.title}</b></span>
       <div class="shift" tabindex="0" role="slider" aria-label={"Shift of " <> @compared.title} aria-valuenow="0"
-          title="Drag, or arrow keys (with Shift ten times as far)">⟷ drag to shift {@compared.title}</div>
-      <label>begins <input name="offset" autocomplete="off" spellcheck="false"
-          aria-label="How much later it begins"> later</label>
-      <button class="btn" type="button" data-align="begin" title="Both begin together">Begins</button>
-      <button class="btn" type="button" data-align="end" title="Both end together">Ends</button>
-      <button class="btn" type="button" data-align="clock" title="Each at the time of its own clock">Clock</button>
+          title="Drag, or use the arrow keys (Shift: ten times as far)">⟷ drag to shift {@compared.title}</div>
+      <label>starts <input name="offset" autocomplete="off" spellcheck="false"
+          aria-label="How much later it starts"> later</label>
+      <button class="btn" type="button" data-align="begin" title="Align the starts">Starts</button>
+      <button class="btn" type="button" data-align="end" title="Align the ends">Ends</button>
+      <button class="btn" type="button" data-align="clock" title="Use the recorded clock times">Clock</button>
       <span class="hint marks" role="status"></span>
-      <button class="mini" type="button" data-align="stop" title="Compare no longer"
-          aria-label="Compare no longer"><.icon name={:close} /></button>
+      <button class="mini" type="button" data-align="stop" title="Stop comparing"
+          aria-label="Stop comparing"><.icon name={:close} /></button>
     </section>
     """
   end
@@ -88,7 +89,7 @@ defmodule Situ.Studio.Web.CompareBar do
     <dialog id="compare-dialog" phx-hook="Modal" phx-update="ignore" aria-label="Compare with another recording">
       <form id="compare-with" phx-submit="compare_with">
         <h3>Compare with another recording</h3>
-        <p class="hint">Its streams are drawn beside those of this one, on one time axis.</p>
+        <p class="hint">Its streams are drawn next to the streams of this recording, on the same time axis.</p>
         <select class="select" name="with" aria-label="Recording" autofocus>
           <option :for={{id, title} <- @others} value={id}>{title}</option>
         </select>

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.DataHandler do
   @moduledoc false
-  # The data socket: carries requests to the session and answers back. One answer to each request, nothing unasked, so a
-  # page that stops reading stops asking, and at most one answer waits for it.
+  # The data socket: passes requests to the session and replies back. The server sends exactly one reply per request
+  # and nothing else, so at most one reply waits for a page that has stopped reading.
   @behaviour Situ.Live.SocketHandler
 
   alias Situ.Studio.{Catalog, Comparison, DataSession}

@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Web.DataHttp do
   @moduledoc false
-  # Data fetched rather than streamed: windows for scripts and tests, sound, steps from message to message.
+  # Data fetched over HTTP rather than streamed: windows for scripts and tests, audio, steps between messages, and
+  # exported files.
   alias Situ.Live.{Request, Response}
   alias Situ.Scratch
 
@@ -18,7 +19,7 @@ defmodule Situ.Studio.Web.DataHttp do
     WholeNumber
   }
 
-  # An hour of sound in one file.
+  # The longest exported audio file is one hour.
   @longest_wav 3_600_000_000_000
 
   @spec call(Request.t(), {String.t(), atom()}) :: Response.t()
@@ -27,7 +28,7 @@ defmodule Situ.Studio.Web.DataHttp do
          {:ok, %{size: size}} <- File.stat(path) do
       file("video/mp4", "mp4", {:file, path, 0, size})
     else
-      _ -> Response.error(404, "there is no such film; make it once more")
+      _ -> Response.error(404, "this video does not exist any more; export it again")
     end
   end
 
@@ -125,7 +126,7 @@ defmodule Situ.Studio.Web.DataHttp do
       folder = Situ.Error.unwrap!(Scratch.create("table"))
       path = Elixir.Path.join(folder, "selection.parquet")
 
-      # Its index stands at its end: the file is whole before the first byte of it is sent.
+      # A Parquet file's index is at its end, so the file must be complete before its first byte is sent.
       case Situ.Studio.Table.parquet(source, streams, from, to, path) do
         {:ok, _rows} ->
           file("application/vnd.apache.parquet", "parquet", {:chunks, sent(path, folder)})
@@ -151,7 +152,7 @@ defmodule Situ.Studio.Web.DataHttp do
     end
   end
 
-  # A recording that is over looks the same for a while.
+  # The thumbnail of a finished recording does not change, so it may be cached longer.
   defp answer(:thumbnail, _query, source, extent) do
     case Thumbnail.of(source) do
       {:ok, type, data} ->
@@ -160,7 +161,7 @@ defmodule Situ.Studio.Web.DataHttp do
         %Response{headers: headers, body: data}
 
       :none ->
-        # Lists show this picture, where a browser's sign for a broken image would look like a fault.
+        # Lists show this placeholder; the browser's broken-image icon would suggest an error.
         %Response{headers: [{"content-type", "image/svg+xml"}], body: Thumbnail.empty_svg()}
     end
   end
@@ -176,7 +177,7 @@ defmodule Situ.Studio.Web.DataHttp do
          do: {:ok, {start, rate, 1, samples}}
   end
 
-  # A file that is there for one answer.
+  # Streams a temporary file and deletes it afterwards.
   defp sent(path, folder) do
     Stream.resource(
       fn -> File.open!(path, [:raw, :binary, :read]) end,
@@ -210,8 +211,8 @@ defmodule Situ.Studio.Web.DataHttp do
     |> Response.binary([{"cache-control", "no-store"}])
   end
 
-  defp bad, do: Response.error(400, "this is not a request for data")
+  defp bad, do: Response.error(400, "invalid data request")
 
-  # A query may hold lists and maps where a text belongs; they name nothing.
+  # A query may hold a list or a map where a string is expected; such a value is ignored.
   defp text(value), do: if(is_binary(value), do: value, else: "")
 end

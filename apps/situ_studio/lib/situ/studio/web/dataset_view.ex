@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.DatasetView do
   @moduledoc false
-  # The page of a dataset: its tree, what is selected, and the batch runs over it.
+  # The page of a dataset: its tree, the properties of the selected row, and its batch runs.
   use Situ.Live.View
 
   alias Situ.Dataset.Server
@@ -47,12 +47,15 @@ defmodule Situ.Studio.Web.DatasetView do
       socket = assign(socket, left: Left.all(file))
       {:ok, if(connected?(socket), do: look(socket), else: socket)}
     else
-      {:error, error} -> {:ok, assign(socket, error: error)}
-      {:ok, _} -> {:ok, assign(socket, error: Situ.Error.new(:not_found, "#{id} is no dataset"))}
+      {:error, error} ->
+        {:ok, assign(socket, error: error)}
+
+      {:ok, _} ->
+        {:ok, assign(socket, error: Situ.Error.new(:not_found, "#{id} is not a dataset"))}
     end
   end
 
-  # Recordings are looked at by a process of their own: one that hangs makes nobody wait.
+  # A separate process reads the recordings, so a read that hangs does not block the page.
   defp look(socket) do
     paths = for s <- socket.assigns.dataset.sessions, p <- s.partitions, uniq: true, do: p.path
     stamps = Map.new(paths, &{&1, Facts.stamp(&1)})
@@ -118,9 +121,9 @@ defmodule Situ.Studio.Web.DatasetView do
 
   def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
 
-  # All below changes something.
+  # All events below modify something.
   def handle_event(_, _, %{assigns: %{read_only: true}} = socket),
-    do: {:noreply, toast(socket, "This studio is read only")}
+    do: {:noreply, toast(socket, "This studio is read-only")}
 
   def handle_event("run_" <> _ = event, params, socket),
     do: {:noreply, BatchDialog.handle_event(event, params, socket)}
@@ -128,7 +131,7 @@ defmodule Situ.Studio.Web.DatasetView do
   def handle_event("task", params, socket),
     do: {:noreply, BatchDialog.open(socket, params["task"], Edits.path(params))}
 
-  # A copy of a part takes as long as it takes; it goes on when the page is closed.
+  # The copy may take long, so it runs in a task that continues after the page is closed.
   def handle_event("save_part", params, %{assigns: %{dialog: {:export, _, _}}} = socket) do
     case Edits.part(params, socket.assigns.dialog) do
       {:ok, export, item} ->
@@ -152,7 +155,7 @@ defmodule Situ.Studio.Web.DatasetView do
 
   def handle_event(_, _, socket), do: {:noreply, socket}
 
-  # An edit may have something to say, or lead elsewhere, beside what it changes.
+  # Besides changed assigns, an edit may return a message to show or an address to go to.
   defp changed(socket, changes) do
     {said, changes} = Keyword.pop(changes, :said)
     {go, changes} = Keyword.pop(changes, :go)
@@ -181,7 +184,8 @@ defmodule Situ.Studio.Web.DatasetView do
 
   def handle_info(:refresh, %{assigns: %{server: server, file: file}} = socket) do
     Process.send_after(self(), :refresh, @refresh_ms)
-    # edited by hand or by the command line meanwhile: told as any other change
+
+    # the file may have been edited by hand or by the command line; the page is notified of that like of any change
     _ = Datasets.refresh(server, file)
     {:noreply, look(socket)}
   end

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Derivation do
   @moduledoc false
-  # The derived streams of a page: those of its layout, and those made on it.
+  # The derived streams of a page, either used by its layout or created on the page.
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Error
@@ -9,10 +9,10 @@ defmodule Situ.Studio.Web.Derivation do
   alias Situ.Studio.Source.Derived
 
   @most 64
-  # So many messages say which members there are: the keys of a map may come and go.
+  # The members are taken from a sample of this many messages, because keys of a map may come and go.
   @looked_at 200
 
-  @doc "Facts about the derived streams; one whose input streams the recording lacks is left out."
+  @doc "Returns facts about the derived streams. Streams whose input streams the recording lacks are left out."
   @spec infos(map()) :: [StreamInfo.t()]
   def infos(assigns) do
     for "= " <> text <- names(assigns),
@@ -28,7 +28,7 @@ defmodule Situ.Studio.Web.Derivation do
   defp rows(nil), do: []
   defp rows(layout), do: layout.rows
 
-  @doc "Loads the streams again when the layout has derived ones that are not known yet."
+  @doc "Reloads the streams if the layout has derived streams that are not loaded yet."
   @spec known(Socket.t(), (Socket.t() -> Socket.t())) :: Socket.t()
   def known(%{assigns: %{shapes: shapes} = assigns} = socket, load) do
     if Enum.all?(names(assigns), &is_map_key(shapes, &1)), do: socket, else: load.(socket)
@@ -36,7 +36,7 @@ defmodule Situ.Studio.Web.Derivation do
 
   def known(socket, _load), do: socket
 
-  @doc "The name of the stream that an expression makes, known to the page from now on."
+  @doc "Adds a derived stream to the page and returns its name."
   @spec add(Socket.t(), String.t()) :: {:ok, String.t(), Socket.t()} | {:error, Error.t()}
   def add(%{assigns: assigns} = socket, text) do
     with {:ok, info} <- Derived.derive(assigns.source, String.slice(text, 0, 1_000)) do
@@ -45,13 +45,13 @@ defmodule Situ.Studio.Web.Derivation do
     end
   end
 
-  @doc "Makes a derived stream of each member of a stream's values, and says how many these are."
+  @doc "Adds a derived stream for each member of a stream's values and shows how many were added."
   @spec derive_members(Socket.t(), String.t(), (Socket.t() -> Socket.t())) :: Socket.t()
   def derive_members(socket, stream, load) do
     case members(socket, stream) do
       {:ok, n, socket} ->
         said = if n == 1, do: "1 derived stream", else: "#{n} derived streams"
-        socket |> load.() |> push_event("toast", %{text: said <> " above the others in the tree"})
+        socket |> load.() |> push_event("toast", %{text: said <> " added at the top of the tree"})
 
       {:error, error} ->
         push_event(socket, "toast", %{text: Exception.message(error)})
@@ -72,7 +72,7 @@ defmodule Situ.Studio.Web.Derivation do
     end
   end
 
-  defp none(stream), do: {:error, Error.new(:no_stream, "there is no stream called #{stream}")}
+  defp none(stream), do: {:error, Error.new(:no_stream, "unknown stream: #{stream}")}
 
   defp looked_at(_source, %{first: nil}), do: []
 

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.Edit do
   @moduledoc false
-  # The changes that the page's buttons and forms make to the layout. Pure: from an event and the assigns to the
-  # assigns that change.
+  # The layout changes that the page's buttons and forms make, as pure functions from an event and the assigns to the
+  # changed assigns.
   alias Situ.{Error, Studio}
   alias Studio.{Layout, Visualizer, Visualizers}
 
@@ -13,7 +13,7 @@ defmodule Situ.Studio.Web.Edit do
     into = if(is_binary(params["panel"]), do: params["panel"], else: "")
 
     with {:ok, entries} <- entries(assigns, stream) do
-      # dropped on a panel, a stream is drawn the way that fits it, if there is one
+      # a stream that is dropped on a panel uses a visualizer that fits this panel, if there is one
       panel = Layout.panel(assigns.layout, into)
       entry = (panel && Enum.find(entries, &(&1.panel == panel.panel))) || hd(entries)
       add(assigns, stream, entry, into)
@@ -48,7 +48,7 @@ defmodule Situ.Studio.Web.Edit do
 
   def apply("beside", _, assigns), do: {:ok, layout: Layout.beside(assigns.layout)}
 
-  # One panel fills the window, until it is asked to go back.
+  # Maximizes one panel until it is restored.
   def apply("maximise", %{"id" => id}, assigns) do
     cond do
       assigns.maximised == id -> {:ok, maximised: nil}
@@ -62,7 +62,7 @@ defmodule Situ.Studio.Web.Edit do
   def apply("undo", _, assigns), do: step(assigns, :undo, :redo)
   def apply("redo", _, assigns), do: step(assigns, :redo, :undo)
 
-  # Shown or hidden; `only` hides the panel's other streams, or shows them again.
+  # Shows or hides a stream; `only` hides the panel's other streams, or shows them again.
   def apply("show_vis", %{"panel" => id, "all" => all}, assigns) when all in ["true", "false"] do
     shown = fn p -> %{p | vis: Enum.map(p.vis, &visible(&1, all == "true"))} end
     {:ok, layout: Layout.update(assigns.layout, id, shown)}
@@ -95,7 +95,7 @@ defmodule Situ.Studio.Web.Edit do
   def apply("move_row", %{"id" => id, "by" => by}, assigns) when by in ["1", "-1"],
     do: {:ok, layout: Layout.move(assigns.layout, id, String.to_integer(by))}
 
-  # Dropped somewhere, or moved a step by a key.
+  # The panel was dropped on a position, or a key moved it one step.
   def apply("place_panel", %{"id" => id, "side" => side, "target" => target}, assigns)
       when is_map_key(@sides, side) and is_binary(id) and is_binary(target) do
     with {:ok, layout} <- Layout.place(assigns.layout, id, {@sides[side], target}),
@@ -111,7 +111,7 @@ defmodule Situ.Studio.Web.Edit do
       when is_integer(height) and is_binary(id),
       do: {:ok, layout: Layout.resize(assigns.layout, id, height)}
 
-  # Each line from its least to its greatest value, or all on one axis again.
+  # Scales each line to its own minimum and maximum, or all lines to one axis again.
   def apply("axis", %{"panel" => id, "own" => "true"}, assigns), do: axis(assigns, id, :own)
 
   def apply("axis", %{"panel" => id, "_target" => ["own"]}, assigns), do: axis(assigns, id, nil)
@@ -186,7 +186,7 @@ defmodule Situ.Studio.Web.Edit do
     end)
   end
 
-  # Only the field that changed is taken over; an unchecked box is sent by its absence.
+  # Only the field that changed is updated. Browsers omit unchecked boxes, so a missing boolean means false.
   defp put({key, option}, props, given, params, entry) do
     name = Atom.to_string(key)
 
@@ -224,7 +224,7 @@ defmodule Situ.Studio.Web.Edit do
         {:ok, Visualizers.for_shape(shape, assigns.extra)}
 
       _ ->
-        {:error, Error.new(:no_stream, "there is no stream called #{inspect(stream)}")}
+        {:error, Error.new(:no_stream, "unknown stream: #{inspect(stream)}")}
     end
   end
 

@@ -1,13 +1,14 @@
 defmodule Situ.Studio.Web.ExportDialog do
   @moduledoc false
-  # "Save the selection as a recording": asks for a name, has it written by a process of its own, says where it is.
+  # The dialog "Save the selection as a recording": asks for a name, starts the export in a separate process, and shows
+  # the path of the new recording.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Live.Socket
   alias Situ.Studio.{Catalog, Export, WholeNumber}
 
-  @doc "Whether there is something on disk to export from, and it is allowed."
+  @doc "Returns whether the item is a recording on disk and the studio may write to it."
   @spec offered?(map()) :: boolean()
   def offered?(%{read_only: read_only, item: item}), do: item.kind == :store and not read_only
 
@@ -16,7 +17,7 @@ defmodule Situ.Studio.Web.ExportDialog do
     if offered?(socket.assigns), do: event(event, params, socket), else: {:noreply, socket}
   end
 
-  # The page tells the selection, or the view where there is none.
+  # The page sends the selection, or the visible range if nothing is selected.
   defp event("export_dialog", %{"from" => from, "to" => to, "of" => of}, socket) do
     with {:ok, from} <- WholeNumber.parse(from),
          {:ok, to} <- WholeNumber.parse(to) do
@@ -46,7 +47,7 @@ defmodule Situ.Studio.Web.ExportDialog do
 
   defp event(_, _, socket), do: {:noreply, socket}
 
-  # It goes on when the page is closed.
+  # The export continues after the page is closed.
   defp start(export, %{item: item, studio: studio}) do
     page = self()
     task = {Task, fn -> send(page, {:exported, Export.run(export, item)}) end}
@@ -75,7 +76,8 @@ defmodule Situ.Studio.Web.ExportDialog do
     assigns =
       assign(assigns,
         length: Situ.Time.format_duration(to - from),
-        what: if(selection?, do: "The selection", else: "The view (nothing is selected)"),
+        what:
+          if(selection?, do: "The selection", else: "The visible range (nothing is selected)"),
         all: map_size(assigns.shapes),
         shown: length(shown(assigns)),
         folder: Path.dirname(assigns.item.path)
@@ -83,15 +85,15 @@ defmodule Situ.Studio.Web.ExportDialog do
 
     ~H"""
     <dialog id="export-dialog" phx-hook="Modal" phx-update="ignore"
-        aria-label="Save a part as a recording">
+        aria-label="Save a section as a recording">
       <form id="export-save" phx-submit="export_save">
-        <h3>Save a part as a recording</h3>
-        <p class="hint">{@what}: {@length}. It is written to {@folder}; this recording stays as it is.</p>
+        <h3>Save a section as a recording</h3>
+        <p class="hint">{@what}: {@length}. The copy is written to {@folder}; this recording is not modified.</p>
         <input name="name" value={part(@item.title)} placeholder="Name" autocomplete="off" maxlength="60"
             aria-label="Name" autofocus>
         <div class="choices" role="radiogroup" aria-label="Streams">
           <label><input type="radio" name="streams" value="all" checked> All streams ({@all})</label>
-          <label><input type="radio" name="streams" value="shown"> The ones shown ({@shown})</label>
+          <label><input type="radio" name="streams" value="shown"> Only shown streams ({@shown})</label>
         </div>
         <div class="choices">
           <button class="btn primary" type="submit">Save</button>

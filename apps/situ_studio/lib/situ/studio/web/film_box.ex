@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.FilmBox do
   @moduledoc false
-  # The film that a page makes of its pictures: begun from a panel's menu, its progress, the finished file.
+  # The video export of a page: started from a panel's menu, then shown with its progress and the finished file.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
@@ -8,14 +8,14 @@ defmodule Situ.Studio.Web.FilmBox do
   alias Situ.Studio.Film.Job
   alias Situ.Studio.{Color, Film, Layout, WholeNumber}
 
-  # An hour.
+  # The longest video is one hour.
   @longest 3_600_000_000_000
   @over ["shapes"]
 
   @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
-  # It takes the server's time: not for those who may only look.
+  # Rendering uses the server's CPU, so view-only links cannot start it.
   def handle_event("film_begin", _, %{assigns: %{viewer: true}} = socket),
-    do: {:noreply, toast(socket, "You may look here, and not make films")}
+    do: {:noreply, toast(socket, "This link is view-only and cannot export videos")}
 
   def handle_event("film_begin", params, %{assigns: assigns} = socket) do
     with {:ok, from} <- WholeNumber.parse(params["from"]),
@@ -24,7 +24,7 @@ defmodule Situ.Studio.Web.FilmBox do
          %Film{} = film <- film(panel, assigns, from, to) do
       {:noreply, begin(socket, film)}
     else
-      _ -> {:noreply, toast(socket, "A film takes a panel with pictures, and an hour at most")}
+      _ -> {:noreply, toast(socket, "A video needs an image panel and can last at most one hour")}
     end
   end
 
@@ -41,7 +41,7 @@ defmodule Situ.Studio.Web.FilmBox do
     assign(socket, film: %{key: key, of: film, told: {:progress, 0.0}})
   end
 
-  # The panel's layers: its picture, what is drawn over it, and the sound of the page.
+  # Combines the panel's image stream, its visible overlays, and an audio stream of the page.
   defp film(panel, assigns, from, to) do
     visible = Enum.reject(panel.vis, &(&1.props["visible"] == false))
     colors = Color.of(Enum.map(panel.vis, & &1.stream), assigns.colors)
@@ -69,7 +69,7 @@ defmodule Situ.Studio.Web.FilmBox do
     end
   end
 
-  # One that is shown, else the only one there is.
+  # Uses the first audio stream that is shown, or else the only one in the recording.
   defp sound(%{layout: layout, shapes: shapes}) do
     shown = for panel <- layout.rows, v <- panel.vis, shapes[v.stream] == :audio, do: v.stream
     all = for {name, :audio} <- shapes, do: name
@@ -81,7 +81,7 @@ defmodule Situ.Studio.Web.FilmBox do
     end
   end
 
-  @doc "How far the film is; of another one than the page's nothing."
+  @doc "Updates the progress of the page's video; reports about other videos are ignored."
   @spec told(Socket.t(), String.t(), term()) :: Socket.t()
   def told(%{assigns: %{film: %{key: key} = film}} = socket, key, told),
     do: assign(socket, film: %{film | told: told})
@@ -102,9 +102,9 @@ defmodule Situ.Studio.Web.FilmBox do
       )
 
     ~H"""
-    <section class="film" id="film" role="status" aria-label="Film">
-      <b>Film of {@film.of.pictures}</b> <span class="hint">{@length}{@with}</span>
-      <progress :if={@done} max="100" value={@done} aria-label="Progress of the film">{@done} %</progress>
+    <section class="film" id="film" role="status" aria-label="Video export">
+      <b>Video of {@film.of.pictures}</b> <span class="hint">{@length}{@with}</span>
+      <progress :if={@done} max="100" value={@done} aria-label="Progress of the video export">{@done} %</progress>
       <span :if={@error} class="error" role="alert">{@error}</span>
       <a :if={@size} class="btn primary" id="film-file" href={"data/film?key=" <> @film.key}
           download="selection.mp4">Download ({@size} MB)</a>
@@ -115,9 +115,9 @@ defmodule Situ.Studio.Web.FilmBox do
 
   defp with_what(film) do
     case {film.sound != nil, film.over ++ film.masks != []} do
-      {true, true} -> ", with sound and what is drawn over it"
-      {true, false} -> ", with sound"
-      {false, true} -> ", with what is drawn over it"
+      {true, true} -> ", with audio and overlays"
+      {true, false} -> ", with audio"
+      {false, true} -> ", with overlays"
       _ -> ""
     end
   end

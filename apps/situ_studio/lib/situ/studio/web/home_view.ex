@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.HomeView do
   @moduledoc false
-  # The list of what can be looked at: datasets, running pipelines, recordings.
+  # The start page: a list of datasets, running pipelines and recordings.
   use Situ.Live.View
   import Situ.Studio.Web.Icons
   alias Situ.Dataset
@@ -9,7 +9,7 @@ defmodule Situ.Studio.Web.HomeView do
   alias Situ.Studio.Web.{Address, ClusterView}
 
   @refresh_ms 2_000
-  # So many rows are on the page, and so many recordings and datasets are looked into.
+  # The page shows at most this many rows, and reads the facts of at most this many recordings and datasets.
   @most 400
   @looked_into [:dataset, :store, :elsewhere, :source]
 
@@ -42,7 +42,7 @@ defmodule Situ.Studio.Web.HomeView do
 
   def handle_info(_, socket), do: {:noreply, socket}
 
-  # A page of another version may send what this one does not know.
+  # A page of another studio version may send events that are unknown here.
   @impl true
   def handle_event("search", %{"query" => query}, socket) when is_binary(query),
     do: {:noreply, assign(socket, query: String.slice(query, 0, 200))}
@@ -58,7 +58,7 @@ defmodule Situ.Studio.Web.HomeView do
       Catalog.look_again(socket.assigns.studio)
       {:noreply, push_event(socket, "go", %{href: Address.dataset(name <> ".json")})}
     else
-      true -> {:noreply, toast(socket, "There is a #{name}.json already")}
+      true -> {:noreply, toast(socket, "#{name}.json already exists")}
       {:error, error} -> {:noreply, toast(socket, Exception.message(error))}
     end
   end
@@ -73,14 +73,14 @@ defmodule Situ.Studio.Web.HomeView do
     if connected?(socket), do: look(socket), else: socket
   end
 
-  # Where a new dataset may be made: a folder on this machine, by those who may change something.
+  # New datasets need a local folder and a user who may write to it.
   defp folder(%{read_only: false, path: path}, session) when is_binary(path) do
     if session["viewer"] != true and File.dir?(path) and not Situ.Store.exists?(path), do: path
   end
 
   defp folder(_, _), do: nil
 
-  # Recordings are looked into by another process, one after the other: the list is there at once.
+  # Another process reads the recordings one after the other, so the list appears immediately.
   defp look(socket) do
     %{items: items, stamps: old, facts: facts, studio: studio} = socket.assigns
     items = for item <- Enum.take(items, @most), item.kind in @looked_into, do: item
@@ -97,7 +97,7 @@ defmodule Situ.Studio.Web.HomeView do
     assign(socket, stamps: stamps)
   end
 
-  # Streams in memory have no file that changes: those that still grow are looked at each time.
+  # Streams in memory have no file whose change could be detected, so live ones are read every time.
   defp stamp(%{kind: :source}, %{live: true}), do: make_ref()
   defp stamp(%{kind: :source}, _), do: :in_memory
   defp stamp(%{path: path}, _), do: Facts.stamp(path)
@@ -127,7 +127,7 @@ defmodule Situ.Studio.Web.HomeView do
       <p class="hint" role="status">{count(length(@items), length(@found), @query)} ·
         <a class="linkish" href="settings" data-settings>Settings</a></p>
       <p :if={ClusterView.member?()} class="hint"><a href="cluster">The cluster: nodes, parts, links</a></p>
-      <nav id="recent" class="hint recent" phx-update="ignore" aria-label="Looked at last" hidden></nav>
+      <nav id="recent" class="hint recent" phx-update="ignore" aria-label="Recently viewed" hidden></nav>
       <form :if={length(@items) > 5 or @query != ""} class="search" phx-change="search" phx-submit="search"
           id="search-form">
         <input id="search" name="query" value={@query} placeholder="Search names and streams  /" autocomplete="off"
@@ -141,15 +141,15 @@ defmodule Situ.Studio.Web.HomeView do
           <span><.badges item={item} facts={@facts[item.id]}
             alerts={if item.kind == :pipeline, do: Alerts.count(@studio, item.id), else: 0} /></span></a>
       </div>
-      <p :if={@more > 0} class="hint more">{@more} more: search to find them</p>
-      <p :if={@items == []} class="hint">Nothing has been recorded here yet; new recordings appear by themselves.
-        <code>bin/demo</code> makes a first recording.</p>
+      <p :if={@more > 0} class="hint more">{@more} more: use the search to find them</p>
+      <p :if={@items == []} class="hint">No recordings yet. New recordings appear automatically.
+        Run <code>bin/demo</code> to create one.</p>
       <details :if={@folder} class="new-dataset">
         <summary>New dataset</summary>
         <form id="new-dataset" class="search" phx-submit="new_dataset">
-          <input name="name" aria-label="Name of the new dataset" placeholder="its name" maxlength="60" required
+          <input name="name" aria-label="Name of the new dataset" placeholder="Name" maxlength="60" required
               autocomplete="off">
-          <button class="btn primary" type="submit">Make it</button>
+          <button class="btn primary" type="submit">Create</button>
         </form>
       </details>
       <div id="toast" role="status" phx-update="ignore"></div>
@@ -157,7 +157,7 @@ defmodule Situ.Studio.Web.HomeView do
     """
   end
 
-  # By its name the browser moves a row; without one it would write the next one's words into it, under the mouse.
+  # The id lets the browser move a row. Without it, a re-sorted row would change its text under the mouse pointer.
   defp id(item), do: "#{item.kind}-#{item.id}"
 
   defp found?(_item, _facts, []), do: true
@@ -212,14 +212,14 @@ defmodule Situ.Studio.Web.HomeView do
       [
         Facts.duration(facts),
         if(streams == 1, do: "1 stream", else: "#{streams} streams"),
-        # nobody has measured how much memory a message takes
+        # the memory used by messages is not measured
         if(item.kind == :source, do: "", else: Figures.bytes(facts.size))
       ],
       &(&1 == "")
     )
   end
 
-  # When it was last written to, in the time of this machine.
+  # Returns the time of the last write, in this machine's time zone.
   defp at(%{path: path}) when is_binary(path) do
     case File.stat(path, time: :local) do
       {:ok, %{mtime: mtime}} ->
@@ -232,7 +232,7 @@ defmodule Situ.Studio.Web.HomeView do
 
   defp at(_), do: nil
 
-  # Annotations lie beside what they are of, under its name (`Situ.Studio.Annotating.Shelf`).
+  # Annotation files are named after their recording, in the same folder (`Situ.Studio.Annotating.Shelf`).
   defp kind(%{kind: :store, title: title}) do
     case String.split(Path.basename(title), "-annotation-", parts: 2) do
       [of, _] when of != "" -> "annotations of #{of}"
@@ -240,7 +240,7 @@ defmodule Situ.Studio.Web.HomeView do
     end
   end
 
-  defp kind(%{kind: :elsewhere}), do: "recording of another machine"
+  defp kind(%{kind: :elsewhere}), do: "recording on another machine"
   defp kind(%{kind: :pipeline}), do: "running pipeline"
   defp kind(%{kind: :source}), do: "in memory"
   defp kind(%{kind: :dataset}), do: "dataset"

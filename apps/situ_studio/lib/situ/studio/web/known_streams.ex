@@ -1,13 +1,13 @@
 defmodule Situ.Studio.Web.KnownStreams do
   @moduledoc false
-  # Facts about the streams of a page's source: their shapes, lanes, colours, and where each begins and ends.
+  # Facts about the streams of a page's source: their shapes, lanes, colors, and the times at which they begin and end.
   import Situ.Live.Socket, only: [assign: 2]
 
   alias Situ.Live.Socket
   alias Situ.Studio.{Color, Coverage, Source, StreamInfo, Visualizer, Visualizers}
   alias Situ.Studio.Web.{Derivation, SourceList}
 
-  @doc "All that is known of the streams of the page's source, those that are derived included."
+  @doc "Loads the facts about all streams of the page's source, including derived streams."
   @spec load(Socket.t()) :: Socket.t()
   def load(socket) do
     streams =
@@ -36,7 +36,7 @@ defmodule Situ.Studio.Web.KnownStreams do
     end
   end
 
-  @doc "The lanes of streams: as they are known, and as the page has met them since."
+  @doc "Returns the lane count of each stream: the larger of the count in its facts and the count the page has seen."
   @spec lanes([StreamInfo.t()], map()) :: map()
   def lanes(streams, seen) do
     known = for %{keys: [_ | _] = keys} = s <- streams, into: %{}, do: {s.name, length(keys)}
@@ -45,7 +45,7 @@ defmodule Situ.Studio.Web.KnownStreams do
 
   defp valid(name), do: if(String.valid?(name), do: name, else: inspect(name))
 
-  @doc "The visualizers of each shape, for the page's menus."
+  @doc "Returns the visualizers of each shape as JSON, for the page's menus."
   @spec kinds([Visualizer.given()]) :: String.t()
   def kinds(extra) do
     StreamInfo.shapes()
@@ -53,7 +53,7 @@ defmodule Situ.Studio.Web.KnownStreams do
     |> Situ.JSON.encode()
   end
 
-  @doc "The beginning of the data, from which the page counts."
+  @doc "Returns the start time of the data, to which the page's relative times refer."
   @spec begun(map()) :: Situ.Time.t()
   def begun(assigns) do
     case Source.call(assigns.source, :extent, []) do

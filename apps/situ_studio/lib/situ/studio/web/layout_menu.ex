@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.LayoutMenu do
   @moduledoc false
-  # Which layout the main view shows: chosen by its address, picked from the menu, saved under a name, deleted.
+  # The layout of the main view: chosen by the page's address, picked from the menu, saved under a name, or deleted.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
@@ -8,7 +8,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
   alias Situ.Studio.{Comparison, Layout, Layouts, Link, Settings, WholeNumber}
   alias Situ.Studio.Source.Beside
 
-  @doc "The layout an address asks for, or the automatic one."
+  @doc "Chooses the layout that the page's address names, or the automatic one."
   @spec choose(Socket.t(), map()) :: Socket.t()
   def choose(socket, params) do
     auto = automatic(socket.assigns)
@@ -35,13 +35,14 @@ defmodule Situ.Studio.Web.LayoutMenu do
         layouts: [Layout.Auto.name() | names -- [auto.name]]
       )
 
-    # an address that says how far the second recording is shifted is obeyed
+    # an offset in the address takes precedence over the offset saved with the layout
     if WholeNumber.parse(params["offset"]) == :error, do: shifted(socket, saved), else: socket
   end
 
   @doc """
-  The automatic layout once more, where nobody has changed it and messages have told by now what a stream is that had
-  been shown as plain values: a running pipeline does not always know it before. `shapes` are those known until then.
+  Rebuilds the automatic layout if nobody has changed it and a stream of plain values has turned out to have another
+  shape; the streams of a running pipeline may have no known shape before their first messages. `shapes` are the shapes
+  before the last refresh.
   """
   @spec learned(Socket.t(), map()) :: Socket.t()
   def learned(%{assigns: %{layout: layout, saved: layout} = assigns} = socket, shapes) do
@@ -55,7 +56,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
 
   def learned(socket, _shapes), do: socket
 
-  # The shift that a layout was saved with, of the recording that is compared now.
+  # Applies the time offset that was saved with the layout, if it refers to the recording that is compared now.
   defp shifted(%{assigns: %{compared: %{id: id} = compared, source: source}} = socket, %{
          compared: {id, offset}
        }) do
@@ -73,7 +74,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
 
   defp compared(layout, _), do: layout
 
-  # A compared stream stands beside its counterpart, not in panels of its own.
+  # A compared stream is shown in its counterpart's panel, so the automatic layout has no panels for it.
   defp automatic(assigns) do
     infos = Enum.reject(assigns.infos, &Beside.second?(&1.name))
     Layout.Auto.layout(infos, Layout.Look.all(assigns.source, infos))
@@ -127,7 +128,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
 
   def handle_event(_, _, socket), do: {:noreply, socket}
 
-  @doc "A layout that has a name is saved as it is changed, where the settings say so."
+  @doc "Saves the changed layout if it has a name and the settings ask for saving every change."
   @spec keep(Socket.t()) :: Socket.t()
   def keep(%{assigns: %{saved: saved, read_only: false} = assigns} = socket) do
     layout = compared(assigns.layout, assigns)
@@ -161,7 +162,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
           <button class="btn primary" type="submit">Save</button>
           <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
           <button :if={@saved.name != Layout.Auto.name()} class="btn" type="button"
-              data-sure="Really delete it?" phx-click="layout_delete">Delete {@saved.name}</button>
+              data-sure="Delete this layout?" phx-click="layout_delete">Delete {@saved.name}</button>
         </div>
       </form>
     </dialog>

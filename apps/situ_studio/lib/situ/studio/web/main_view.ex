@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.MainView do
   @moduledoc false
-  # The page of one recording or pipeline. Times, cursor and pictures live in the browser; here are the streams, the
-  # layout and what is selected.
+  # The page of one recording or pipeline. The browser owns times, cursor and images; this process owns the streams, the
+  # layout and the selection of streams and panels.
   use Situ.Live.View
 
   alias Situ.Studio.{
@@ -37,7 +37,7 @@ defmodule Situ.Studio.Web.MainView do
   }
 
   @refresh_ms 2_000
-  # So many changes of the layout can be taken back.
+  # At most this many layout changes can be undone.
   @undo 100
   @max_lanes 32
 
@@ -102,7 +102,7 @@ defmodule Situ.Studio.Web.MainView do
   defp look_again(%{assigns: %{shapes: shapes}} = socket),
     do: socket |> load_streams() |> LayoutMenu.learned(shapes)
 
-  # Streams of a recording that was shifted have other times.
+  # The streams of a shifted recording have other times, so they are loaded again.
   defp moved(socket, %{assigns: %{source: source}}),
     do: if(socket.assigns.source == source, do: socket, else: load_streams(socket))
 
@@ -131,7 +131,7 @@ defmodule Situ.Studio.Web.MainView do
       when event in ["search", "toggle", "fold_all", "unfold_all", "fold_below"],
       do: {:noreply, StreamTree.handle_event(event, params, socket)}
 
-  # A click on a group's name folds it, too; its menu only asks for its properties.
+  # A click on a group's name also folds it; its menu entry only selects it.
   def handle_event("select", %{"path" => path} = params, socket) when is_binary(path) do
     cond do
       Map.has_key?(socket.assigns.shapes, path) ->
@@ -152,7 +152,7 @@ defmodule Situ.Studio.Web.MainView do
     {:noreply, socket |> assign(snap: snap) |> push_event("snap", %{stream: snap})}
   end
 
-  # One stream, or all of a panel.
+  # Zooms to one stream, or to all streams of a panel.
   def handle_event("zoom_stream", params, socket) do
     names = List.wrap(params["streams"] || params["stream"])
 
@@ -162,7 +162,7 @@ defmodule Situ.Studio.Web.MainView do
     end
   end
 
-  # Of the messages within a selection, for each stream of a panel.
+  # Computes statistics of the messages in the selection, for each stream of a panel.
   def handle_event("statistics", %{"panel" => id, "from" => from, "to" => to}, socket) do
     with {:ok, from} <- WholeNumber.parse(from),
          {:ok, to} when to >= from <- WholeNumber.parse(to),
@@ -180,7 +180,7 @@ defmodule Situ.Studio.Web.MainView do
     {:noreply, chosen |> moved(socket) |> Derivation.known(&load_streams/1)}
   end
 
-  # A stream that an expression makes of others.
+  # Adds a stream that an expression derives from other streams.
   def handle_event("derive", %{"text" => text}, socket) when is_binary(text) do
     case Derivation.add(socket, text) do
       {:ok, name, socket} ->
@@ -213,7 +213,7 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("query_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
     do: {:noreply, QueryPanel.handle_event(event, params, socket)}
 
-  # The link for those who may only look; they do not get it to hand it on, having it already.
+  # Returns a view-only link. A viewer gets no token, because the page's address already has it.
   def handle_event("viewer_link", _, socket) do
     token = if socket.assigns.viewer, do: nil, else: Situ.Live.viewer_token(socket)
     {:noreply, push_event(socket, "viewer_link", %{token: token})}
@@ -238,7 +238,7 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_event(_, _, socket), do: {:noreply, socket}
 
-  # The layout before a change; picking another is one, too.
+  # Saves the previous layout for undo. Picking another layout counts as a change.
   defp remember(%{assigns: assigns} = socket, event, changes)
        when event not in ["undo", "redo"] do
     if Keyword.get(changes, :layout, assigns.layout) == assigns.layout,
@@ -274,7 +274,7 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_info({:situ_annotation, _, _}, socket), do: {:noreply, Annotation.tell(socket)}
 
-  # A live source has other numbers a moment later.
+  # The facts about a live source keep changing.
   def handle_info(:refresh, socket) do
     Process.send_after(self(), :refresh, @refresh_ms)
     socket = Annotation.refresh(socket)
@@ -335,7 +335,7 @@ defmodule Situ.Studio.Web.MainView do
         <CompareBar.bar :if={@compared} compared={@compared} title={@item.title} />
         <FilmBox.box :if={@film} film={@film} />
         <button class="pill" type="button" data-act="live"
-          title="Follow what is being recorded (l)">Back to live</button>
+          title="Follow the live data (l)">Back to live</button>
         <Panels.stack layout={@layout} selected={@selected} maximised={@maximised} known={@known}
           annotation={@annotation && @annotation.stream} streams={length(@infos)} />
       </main>
@@ -364,7 +364,7 @@ defmodule Situ.Studio.Web.MainView do
   defp selected_panel(%{selected: {:panel, id}, layout: layout}), do: Layout.panel(layout, id)
   defp selected_panel(_), do: nil
 
-  # Where there is a graph to see: a running pipeline, or a recording with its diagnostics.
+  # Returns the path of the graph page for a running pipeline, or for a recording that contains diagnostics.
   defp pipeline(item, infos) do
     if item.kind == :pipeline or
          Enum.any?(infos, &String.contains?(to_string(&1.type), "Diagnostics.Snapshot")),

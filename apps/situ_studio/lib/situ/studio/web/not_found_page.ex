@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Web.NotFoundPage do
   @moduledoc false
-  # Answers every address that the studio does not have: people get a page with a way back, programs get a line.
+  # Handles every address that the studio does not have: browsers get a page with a link back, programs a single line.
   alias Situ.Live.{Request, Response}
   alias Situ.Studio.Web.StaticPage
 
   @body """
   <div role="alert">
-    <h1>There is no page at this address</h1>
+    <h1>Page not found</h1>
     <p>The link may be incomplete, or it may belong to another version of the studio.</p>
   </div>
   <p><a class="btn" href=".">All recordings</a></p>

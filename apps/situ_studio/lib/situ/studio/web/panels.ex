@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Panels do
   @moduledoc false
-  # The centre: rows of panels. The inside of a panel belongs to the page's script.
+  # The center of the page: rows of panels. The page's script renders the inside of each panel.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
   alias Situ.Studio.Web.Annotation
@@ -10,7 +10,7 @@ defmodule Situ.Studio.Web.Panels do
   attr(:layout, :any, required: true)
   attr(:selected, :any, required: true)
 
-  # what is known of the streams: their shapes, lanes, coverage and colours, and the studio's own visualizers (`:extra`)
+  # facts about the streams: shapes, lanes, coverage and colors, and the studio's own visualizers (`:extra`)
   attr(:known, :map, required: true)
   attr(:streams, :integer, required: true)
   attr(:maximised, :any, required: true)
@@ -30,7 +30,7 @@ defmodule Situ.Studio.Web.Panels do
       <div class={["side", holds?(@side, @max) && "maxed"]} id="side" :if={@side != []}>
         <.line :for={line <- @side} :key={row_id(line)} line={line} selected={@selected} max={@max} known={@known} />
         <div class="split" id="split-side" phx-hook="Split" data-var="--side" data-edge="right" tabindex="0"
-            role="separator" aria-orientation="vertical" aria-label="Width of the pictures" aria-valuenow="40"
+            role="separator" aria-orientation="vertical" aria-label="Width of the images" aria-valuenow="40"
             aria-valuemin="10" aria-valuemax="80"></div>
       </div>
       <div class={["times", holds?(@main, @max) && "maxed"]} id="times">
@@ -39,10 +39,10 @@ defmodule Situ.Studio.Web.Panels do
         <.line :for={line <- @main} :key={row_id(line)} line={line} selected={@selected} max={@max} known={@known} />
         <Annotation.panel :if={@annotation} stream={@annotation} />
         <div :if={@layout.rows == [] and @streams > 0}
-            class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
+            class="empty"><b>Nothing shown yet</b><span>Double-click a stream on the left, or drag it here.</span></div>
         <div :if={@layout.rows == [] and @streams == 0} class="empty"><b>No streams yet</b><span>{if @known.damaged,
           do: "This recording is damaged, and none of its streams can be read.",
-          else: "Nothing was recorded here. New recordings show up by themselves."}</span></div>
+          else: "Nothing was recorded here. New recordings appear automatically."}</span></div>
       </div>
     </div>
     """
@@ -90,14 +90,14 @@ defmodule Situ.Studio.Web.Panels do
     """
   end
 
-  # One stream by its whole name, several by the parts that tell them apart.
+  # Shows the full name of a single stream, and short distinct names of several streams.
   defp called(%{vis: [_one]} = assigns), do: ~H"<bdi>{names(%{vis: @vis})}</bdi>"
   defp called(assigns), do: ~H"{@vis |> short_names() |> Enum.join(\", \")}"
 
-  # A panel of another kind is another element: the page opens it anew.
+  # The id contains the panel's kind, so that the page creates a new element when the kind changes.
   defp body(panel), do: "body-#{panel.id}-#{panel.panel}"
 
-  # The lower edge of a row: dragged, it gives the row a height of its own.
+  # The lower edge of a row; dragging it sets the row's height.
   defp edge(assigns) do
     ~H"""
     <div class="resize" id={"resize-" <> @row} phx-hook="Resize" tabindex="0" role="separator"
@@ -110,7 +110,7 @@ defmodule Situ.Studio.Web.Panels do
     ~H"""
     <button class="mini" type="button" phx-click="maximise" phx-value-id={@panel.id}
         title={if @max == @panel.id, do: "Back to all panels (m)", else: "Fill the window (m)"}
-        aria-label={if(@max == @panel.id, do: "Restore ", else: "Maximise ") <> names(@panel)}
+        aria-label={if(@max == @panel.id, do: "Restore ", else: "Maximize ") <> names(@panel)}
         ><.icon name={if @max == @panel.id, do: :shrink, else: :grow} /></button>
     """
   end
@@ -132,8 +132,8 @@ defmodule Situ.Studio.Web.Panels do
     ~H"""
     <button id={"grip-" <> @id} class="mini grip" type="button" phx-hook="Grip" draggable="true" data-id={@id}
         data-grip={@kind}
-        title={"Move: drag, or " <> if(@kind == "cell", do: "arrow keys", else: "up and down keys")}
-        aria-label="Move this panel by arrow keys"><.icon name={:grip} /></button>
+        title={"Move: drag, or use the " <> if(@kind == "cell", do: "arrow keys", else: "up and down keys")}
+        aria-label="Move this panel with the arrow keys"><.icon name={:grip} /></button>
     """
   end
 
@@ -141,7 +141,7 @@ defmodule Situ.Studio.Web.Panels do
 
   defp names(panel), do: Enum.map_join(panel.vis, ", ", &(&1.stream <> &1.path))
 
-  @doc "The panel's configuration for the page's script, as JSON."
+  @doc "Returns the panel's configuration for the page's script, as JSON."
   @spec config(Layout.Panel.t(), map()) :: String.t()
   def config(panel, known) do
     short = short_names(panel.vis)
@@ -178,10 +178,10 @@ defmodule Situ.Studio.Web.Panels do
     Situ.JSON.encode(%{"vis" => vis, "axis" => axis, "threshold" => threshold})
   end
 
-  # The last part of a name, as long as it tells the streams of a panel apart.
+  # Shortens each name to its last segment if that distinguishes the panel's streams.
   defp short_names(vis), do: Enum.zip_with(vis, names_of(vis), &marked/2)
 
-  # A stream of the recording that is compared has the name of its twin, and a mark.
+  # A stream of the compared recording has the same name as its counterpart, with a mark.
   defp marked(%{stream: stream}, name),
     do: if(Beside.second?(stream), do: "⇄ " <> name, else: name)
 
@@ -204,11 +204,11 @@ defmodule Situ.Studio.Web.Panels do
     end
   end
 
-  # Points of an expression are not those of a name.
+  # A "." in an expression does not separate segments of a name.
   defp parts("= " <> _ = stream), do: [stream]
   defp parts(stream), do: String.split(stream, ".")
 
-  # A stream that is not there (yet) is drawn as its layout says: it may come.
+  # A stream that does not exist (yet) is drawn as its layout specifies, because it may appear later.
   defp visualizer(vis, %{shapes: shapes, extra: extra}) do
     with :error <- Visualizers.of(vis.viz, vis.path, Map.get(shapes, vis.stream, :value), extra),
          :error <- Visualizers.named(vis.viz, extra),
@@ -219,7 +219,7 @@ defmodule Situ.Studio.Web.Panels do
   defp drawer(%Visualizer{drawer: drawer}), do: drawer
   defp drawer(id), do: id
 
-  # The address and the options of a plug-in's script.
+  # Returns the URL and the options of a plug-in's script.
   defp script(%Visualizer{script: url} = viz) when url != nil,
     do: %{"url" => url, "plugin" => viz.plugin, "options" => defaults(viz)}
 
@@ -228,7 +228,7 @@ defmodule Situ.Studio.Web.Panels do
   defp defaults(viz),
     do: for({key, option} <- viz.options, into: %{}, do: {key, option[:default]})
 
-  # The properties that change what the server sends.
+  # Returns the properties that affect the data that the server sends.
   defp asked(%Visualizer{asks: [_ | _] = asks}, props) do
     keys = Enum.map(asks, &Atom.to_string/1)
     Map.take(props, keys)

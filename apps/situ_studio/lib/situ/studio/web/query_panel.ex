@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.QueryPanel do
   @moduledoc false
-  # "Find the times where": the field, what was found, and what is done with it.
+  # The panel "Find the times where": its input field, the intervals found, and the actions on them.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
   import Situ.Studio.Web.Icons
@@ -8,10 +8,10 @@ defmodule Situ.Studio.Web.QueryPanel do
   alias Situ.Live.Socket
   alias Situ.Studio.{Annotating, Finding, WholeNumber}
 
-  # So many are listed; all become annotations.
+  # At most this many intervals are listed, but all of them become annotations.
   @listed 200
 
-  @doc "Whether there is something on disk to look through."
+  @doc "Returns whether the item has recordings on disk that can be searched."
   @spec offered?(map()) :: boolean()
   def offered?(%{item: item}), do: Finding.parts(item) != []
   def offered?(_), do: false
@@ -36,7 +36,7 @@ defmodule Situ.Studio.Web.QueryPanel do
     page = self()
     run = make_ref()
 
-    # the page goes on meanwhile, and an answer to an earlier question is dropped
+    # the page stays responsive, and the result of an earlier query is dropped
     Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
       send(page, {:found, run, Finding.run(parts, text)})
     end)
@@ -78,11 +78,11 @@ defmodule Situ.Studio.Web.QueryPanel do
   defp refused do
     Situ.Error.new(
       :not_annotated,
-      "only a recording on disk can be annotated, where the studio may write"
+      "only a recording on disk can be annotated, in a studio that is not read-only"
     )
   end
 
-  @doc "Shows the intervals found, if they answer the latest query."
+  @doc "Shows the intervals found, if they belong to the latest query."
   @spec found(Socket.t(), reference(), term()) :: Socket.t()
   def found(%{assigns: %{query_panel: %{run: run} = panel}} = socket, run, {:ok, found}),
     do: assign(socket, query_panel: %{panel | found: found, run: nil})
@@ -114,7 +114,7 @@ defmodule Situ.Studio.Web.QueryPanel do
               phx-click="query_annotate">As annotations</button>
         </div>
       </form>
-      <p :if={@panel.run} class="hint" role="status">Looking ...</p>
+      <p :if={@panel.run} class="hint" role="status">Searching ...</p>
       <p :if={@panel.error} class="error" role="alert">{@panel.error}</p>
       <p :if={@panel.found} class="hint" role="status">{said(@panel.found)}</p>
       <div :if={@panel.found} class="found-times">
@@ -128,16 +128,16 @@ defmodule Situ.Studio.Web.QueryPanel do
 
   defp listed, do: @listed
 
-  defp said(%{intervals: []}), do: "Never"
+  defp said(%{intervals: []}), do: "No times found"
 
   defp said(%{intervals: intervals} = found) do
     total = intervals |> Enum.map(fn {from, to} -> to - from end) |> Enum.sum()
     more = if found.truncated?, do: " and more", else: ""
     times = if length(intervals) == 1, do: "1 time", else: "#{length(intervals)} times"
-    "#{times}#{more}, #{Situ.Time.format_duration(total)} together"
+    "#{times}#{more}, #{Situ.Time.format_duration(total)} in total"
   end
 
-  # Since the start of the data, as the ruler has it.
+  # Formats a time relative to the start of the data, like the ruler does.
   defp at(ns) do
     seconds = div(ns, 1_000_000_000)
     ms = div(rem(ns, 1_000_000_000), 1_000_000)

@@ -18,7 +18,7 @@ defmodule Situ.Studio.Web.Routes do
 
   @spec all(String.t(), String.t()) :: [tuple()]
   def all(studio, base \\ "/") do
-    # a signed part of each page: who may only look stays so over its socket, too
+    # signed into each page, so that a viewer's page keeps its view-only role over its socket
     session = &%{"studio" => studio, "viewer" => &1.role == :viewer}
 
     [

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.SchemaDialog do
   @moduledoc false
-  # Editing the schema of annotations: attributes and their values, each with key and colour.
+  # The dialog that edits an annotation schema: attributes and their values, each with a key and a color.
   use Situ.Live.Component
 
   attr(:draft, :list, required: true)
@@ -20,7 +20,7 @@ defmodule Situ.Studio.Web.SchemaDialog do
             <select name={"attribute[#{i}][kind]"} aria-label={"Kind of " <> a.name}>
               <option :for={{kind, title} <- kinds()} value={kind} selected={kind == a.kind}>{title}</option></select>
             <button class="btn" type="button" phx-click="annotation_row" phx-value-do="remove" phx-value-at={i}
-                aria-label={"Remove " <> a.name} title="Remove it, also from all annotations">×</button>
+                aria-label={"Remove " <> a.name} title="Remove it from the schema and all annotations">×</button>
           </div>
           <div :for={{v, k} <- Enum.with_index(a.values)} :if={a.kind == "finite"} :key={k} class="schema-row value">
             <input name={"attribute[#{i}][values][#{k}][value]"} value={v.value} aria-label="Value" placeholder="Value"
@@ -28,7 +28,7 @@ defmodule Situ.Studio.Web.SchemaDialog do
             <input name={"attribute[#{i}][values][#{k}][key]"} value={v.key} aria-label={"Key of " <> v.value}
                 placeholder="Key" maxlength="1" autocomplete="off">
             <input type="color" name={"attribute[#{i}][values][#{k}][fill]"}
-                value={fill(v, k, a.values)} aria-label={"Colour of " <> v.value}>
+                value={fill(v, k, a.values)} aria-label={"Color of " <> v.value}>
             <button class="btn" type="button" phx-click="annotation_row" phx-value-do="remove" phx-value-at={i}
                 phx-value-nth={k} aria-label={"Remove " <> v.value}>×</button>
           </div>
@@ -44,16 +44,16 @@ defmodule Situ.Studio.Web.SchemaDialog do
           <button class="btn primary" type="submit">Save</button>
           <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
           <button class="btn" type="button" phx-click="annotation_schema_keep"
-              title="New annotations of other recordings can have it, too">Keep for other recordings</button>
+              title="New annotations of other recordings can use this schema">Keep for other recordings</button>
         </div>
-        <p class="hint">A new name applies to every annotation. A value that annotations have cannot be
+        <p class="hint">Renaming applies to every annotation. A value that annotations use cannot be
           removed.</p>
       </form>
     </dialog>
     """
   end
 
-  # A field for a colour shows one at all times: values without one are told apart, too.
+  # A color input always shows a color, so values without a color get different defaults.
   @usual ~w(#4ea1f3 #4cc38a #e0b13f #d670a5 #a78bfa #f2884a #56c7d1 #e06c75)
 
   defp fill(%{fill: ""}, nth, values) do
@@ -66,7 +66,7 @@ defmodule Situ.Studio.Web.SchemaDialog do
 
   defp kinds,
     do: [
-      {"finite", "one of these"},
+      {"finite", "list of values"},
       {"text", "text"},
       {"number", "number"},
       {"bool", "yes or no"}

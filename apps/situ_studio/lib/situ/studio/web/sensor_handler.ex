@@ -1,19 +1,20 @@
 defmodule Situ.Studio.Web.SensorHandler do
   @moduledoc false
-  # The connection of a page that is a sensor. Texts are JSON: `ping`, `offset` and `drawn` from the page, `pong` and
-  # `credit` to it. Binaries begin with their kind; those from the page, with its time, are the sensor's to read
-  # (`Situ.Studio.Sensor.Packet`): 1 a picture, 2 sound, 4 a headset. 3 is sound to be played, 5 a scene to be drawn.
+  # The connection of a page that acts as a sensor. Text frames are JSON: `ping`, `offset` and `drawn` from the page,
+  # `pong` and `credit` to the page. Binary frames begin with their kind. Frames from the page contain its time and are
+  # parsed by the sensor (`Situ.Studio.Sensor.Packet`): 1 is an image, 2 audio, 4 a headset. Frames to the page are
+  # 3, audio to play, and 5, a scene to draw.
   @behaviour Situ.Live.SocketHandler
 
   alias Situ.JSON
   alias Situ.Studio.Headset.Display
   alias Situ.Studio.Sensor.Inbox
 
-  # A limit for a page's values: its times lie within a day of ours.
+  # Times and clock offsets from the page must be within a day of the server's clock.
   @day_ms 86_400_000
 
   @impl true
-  def init(%{role: :viewer}, _kind), do: {:error, "who may only look is no sensor"}
+  def init(%{role: :viewer}, _kind), do: {:error, "a view-only link cannot be a sensor"}
 
   def init(request, kind) do
     name = request.query["name"] || "page"
@@ -25,7 +26,7 @@ defmodule Situ.Studio.Web.SensorHandler do
       {:ok, %{kind: kind, sensor: sensor, offset: nil, drawing: %{}}}
     else
       {:sensor, :error} -> {:error, "no pipeline has a sensor of this name"}
-      :error -> {:error, "another page is this sensor"}
+      :error -> {:error, "another page is already this sensor"}
     end
   end
 
@@ -47,7 +48,7 @@ defmodule Situ.Studio.Web.SensorHandler do
     end
   end
 
-  # Before the clocks are compared no time means anything.
+  # Until the clocks have been compared, the page's times are meaningless.
   def handle_in({_bytes, opcode: :binary}, %{offset: nil} = state), do: {:ok, state}
 
   def handle_in({bytes, opcode: :binary}, state) do
@@ -67,7 +68,7 @@ defmodule Situ.Studio.Web.SensorHandler do
   def handle_info({:play, rate, pcm}, state),
     do: {:push, {:binary, [<<3, 0::24, rate::little-32>>, pcm]}, state}
 
-  # One scene of a layer is under way; of those that come meanwhile the newest follows it.
+  # At most one scene of a layer is in flight. Newer scenes replace each other until the page has drawn that one.
   def handle_info({:draw, layer, frame}, %{drawing: drawing} = state) do
     if is_map_key(drawing, layer),
       do: {:ok, %{state | drawing: %{drawing | layer => frame}}},

@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Web.SensorPage do
   @moduledoc false
-  # The page that is a camera and a microphone: it needs no view on the server, only its script.
+  # The page that acts as a camera and a microphone. It has no view on the server, only a script.
   alias Situ.Live.{Request, Response}
   alias Situ.Studio.Web.StaticPage
 
   @body """
   <h1>This page is a sensor</h1>
-  <p>While it is open it sends its camera and microphone to the pipeline that waits for them.</p>
+  <p>While this page is open, it sends camera images and microphone audio to the connected pipeline.</p>
   <p><label>Camera <select id="camera"></select></label>
      <label>Microphone <select id="microphone"></select></label></p>
   <p><button class="btn" id="start" type="button">Start</button>

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.SettingsView do
   @moduledoc false
-  # The page of settings: what this studio keeps for everybody, and what this browser keeps for its person.
+  # The settings page: settings that the studio stores for everybody, and settings that this browser stores.
   use Situ.Live.View
   import Situ.Studio.Web.Icons
 
@@ -8,9 +8,9 @@ defmodule Situ.Studio.Web.SettingsView do
   alias Situ.Studio.{Catalog, Figures, Layout, Layouts, Settings}
 
   @keep [
-    by_hand: "when it is saved by hand",
-    at_once: "with every change",
-    ask: "by hand; leaving a changed one asks"
+    by_hand: "only when saved manually",
+    at_once: "after every change",
+    ask: "manually; ask before leaving a changed layout"
   ]
 
   @impl true
@@ -30,7 +30,7 @@ defmodule Situ.Studio.Web.SettingsView do
   end
 
   @impl true
-  # A line that is no rule is refused and named, and nothing is kept.
+  # If a line is not a rule, the error names it and nothing is saved.
   def handle_event("alerts", %{"alerts" => text}, %{assigns: %{read_only: false}} = socket)
       when is_binary(text) do
     case Rule.read(text) do
@@ -43,7 +43,7 @@ defmodule Situ.Studio.Web.SettingsView do
     settings = Settings.put(socket.assigns.settings, params)
 
     case Settings.save(socket.assigns.folder, settings) do
-      :ok -> {:noreply, socket |> assign(settings: settings) |> toast("Kept")}
+      :ok -> {:noreply, socket |> assign(settings: settings) |> toast("Settings saved")}
       {:error, error} -> {:noreply, toast(socket, Exception.message(error))}
     end
   end
@@ -62,31 +62,31 @@ defmodule Situ.Studio.Web.SettingsView do
         <a id="settings-back" class="btn" href="." phx-hook="Back" phx-update="ignore">Back</a></h1>
       <section aria-label="Settings of this studio">
         <h2>This studio, for everybody</h2>
-        <p :if={@read_only} class="hint">This studio is read only: its settings cannot be changed.</p>
+        <p :if={@read_only} class="hint">This studio is read-only, so its settings cannot be changed.</p>
         <form id="server-settings" phx-change="settings" phx-submit="settings">
-          <div class="field"><label for="setting-layout">A recording opens with the layout</label>
+          <div class="field"><label for="setting-layout">Open recordings with the layout</label>
             <select id="setting-layout" name="layout" disabled={@read_only}>
               <option :for={name <- @names} value={name} selected={name == @settings.layout}>{name}</option>
             </select></div>
-          <div class="field"><label for="setting-keep">A named layout is saved</label>
+          <div class="field"><label for="setting-keep">Save named layouts</label>
             <select id="setting-keep" name="keep" disabled={@read_only}>
               <option :for={{value, text} <- @keep} value={value}
                   selected={value == @settings.keep}>{text}</option>
             </select></div>
-          <div class="field"><label for="setting-info">Next to the name of each stream</label>
+          <div class="field"><label for="setting-info">Show next to stream names</label>
             <select id="setting-info" name="info" disabled={@read_only}>
               <option :for={{value, text} <- @info} value={value}
                   selected={value == @settings.info}>{text}</option>
             </select></div>
         </form>
-        <p :for={{path, error} <- @problems} class="hint">{Path.basename(path)} among the layouts: {error.what}.</p>
+        <p :for={{path, error} <- @problems} class="hint">Cannot load layout {Path.basename(path)}: {error.what}.</p>
         <form id="alert-settings" phx-submit="alerts">
-          <div class="field"><label for="setting-alerts">Alerts of running pipelines, a line each: a name, a colon, and
+          <div class="field"><label for="setting-alerts">Alerts of running pipelines, one per line: a name, a colon, and
             an expression over streams and statistics</label>
             <textarea id="setting-alerts" name="alerts" rows="4" spellcheck="false" disabled={@read_only}
                 placeholder="busy: `queue(Slow.Heavy)` > 100 or `busy(Slow.Heavy)` > 90"
                 >{@settings.alerts}</textarea></div>
-          <p :if={not @read_only} class="choices"><button class="btn" type="submit">Keep the alerts</button></p>
+          <p :if={not @read_only} class="choices"><button class="btn" type="submit">Save alerts</button></p>
         </form>
       </section>
       <section aria-label="Settings of this browser">

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Side do
   @moduledoc false
-  # Left: recordings and the tree of streams. Right: properties of what is selected.
+  # The sidebars. Left: recordings and the stream tree. Right: properties of the selected stream, group or panel.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
   import Situ.Studio.Web.Times
@@ -63,9 +63,9 @@ defmodule Situ.Studio.Web.Side do
           <button :if={row.item} class="add" type="button" tabindex="-1" phx-click="add_stream"
               phx-value-stream={row.item.name} title="Show this stream (Enter)" aria-label="show">+</button>
         </div>
-        <p :if={@more > 0} class="hint" style="padding: 6px 12px">{@more} more: search to find them</p>
+        <p :if={@more > 0} class="hint" style="padding: 6px 12px">{@more} more: use the search to find them</p>
         <p :if={@rows == []} class="hint"
-            style="padding: 6px 12px">{if @query == "", do: "No streams yet", else: "Nothing is called like that"}</p>
+            style="padding: 6px 12px">{if @query == "", do: "No streams yet", else: "No matching streams"}</p>
       </div>
       <div class="split" id="split-left" phx-hook="Split" data-var="--left" data-edge="right" tabindex="0"
           role="separator" aria-orientation="vertical" aria-label="Width of the streams" aria-valuenow="15"
@@ -78,7 +78,7 @@ defmodule Situ.Studio.Web.Side do
   defp selected?(%{item: nil, path: path}, {:group, path}), do: true
   defp selected?(_, _), do: false
 
-  # In a session of a dataset a stream is also known by its recording there.
+  # In a session of a dataset, a stream can also be addressed by its recording within the session.
   defp address("= " <> _, _), do: nil
   defp address(_, []), do: nil
   defp address(name, [part]), do: "[#{part}]:#{name}"
@@ -104,18 +104,18 @@ defmodule Situ.Studio.Web.Side do
 
   attr(:info, :atom, required: true)
 
-  @doc "Chooses the figure beside the names; stands in the form of the search."
+  @doc "Renders the select box for the statistic shown next to the names; it belongs in the search form."
   def figure_choice(assigns) do
     assigns = assign(assigns, choices: Figures.choices())
 
     ~H"""
-    <label class="mini pick" title={"Next to the names: " <> @choices[@info]}><.icon name={:info} /><select name="info"
-        aria-label="Shown next to the names"><option :for={{name, title} <- @choices} value={name}
+    <label class="mini pick" title={"Show next to names: " <> @choices[@info]}><.icon name={:info} /><select name="info"
+        aria-label="Show next to names"><option :for={{name, title} <- @choices} value={name}
         selected={name == @info}>{title}</option></select></label>
     """
   end
 
-  # A group's figures are those of all that it holds.
+  # A group's statistics summarize all of its streams.
   defp own(%{item: nil, under: under}), do: under
   defp own(%{item: stream}), do: [stream]
 
@@ -137,8 +137,8 @@ defmodule Situ.Studio.Web.Side do
         <StreamProps.stream :if={@stream} stream={@stream} extra={@known.extra} snap={@snap} />
         <StreamProps.group :if={@group} group={@group} />
         <.panel_props :if={@panel} panel={@panel} known={@known} />
-        <p :if={@stream == nil and @panel == nil and @group == nil} class="hint">Select a stream or a panel. Double
-          click or drag a stream to show it. The right mouse button has more.</p>
+        <p :if={@stream == nil and @panel == nil and @group == nil} class="hint">Select a stream or a panel.
+          Double-click or drag a stream to show it. Right-click for more actions.</p>
       </div>
       <div class="split left-edge" id="split-right" phx-hook="Split" data-var="--right" data-edge="left" tabindex="0"
           role="separator" aria-orientation="vertical" aria-label="Width of the properties" aria-valuenow="15"
@@ -156,31 +156,31 @@ defmodule Situ.Studio.Web.Side do
     <div class="sub">{length(@panel.vis)} {if length(@panel.vis) == 1, do: "stream", else: "streams"}</div>
     <form :if={@panel.panel == :plot} id={"axis-" <> @panel.id} phx-change="axis">
       <input type="hidden" name="panel" value={@panel.id}>
-      <div class="field"><label for="axis-own">Each line its own axis</label><input id="axis-own" name="own"
+      <div class="field"><label for="axis-own">Separate axis for each line</label><input id="axis-own" name="own"
           type="checkbox" value="true" checked={@panel.axis == :own}></div>
-      <div class="field"><label for="axis-min">Axis from</label><input id="axis-min" name="min"
+      <div class="field"><label for="axis-min">Axis minimum</label><input id="axis-min" name="min"
           value={axis(@panel.axis, 0)} disabled={@panel.axis == :own} placeholder="automatic"
           inputmode="decimal" phx-debounce="400"></div>
-      <div class="field"><label for="axis-max">to</label><input id="axis-max" name="max"
+      <div class="field"><label for="axis-max">Axis maximum</label><input id="axis-max" name="max"
           value={axis(@panel.axis, 1)} disabled={@panel.axis == :own} placeholder="automatic"
           inputmode="decimal" phx-debounce="400"></div>
     </form>
     <form :if={@panel.panel == :plot} id={"threshold-" <> @panel.id} phx-change="threshold">
       <input type="hidden" name="panel" value={@panel.id}>
-      <div class="field"><label for="threshold-side">Cover</label>
+      <div class="field"><label for="threshold-side">Cover values</label>
         <select id="threshold-side" name="side">
-          <option value="">nothing</option>
-          <option value="below" selected={side(@panel) == :below}>what is below</option>
-          <option value="above" selected={side(@panel) == :above}>what is above</option>
+          <option value="">never</option>
+          <option value="below" selected={side(@panel) == :below}>below the threshold</option>
+          <option value="above" selected={side(@panel) == :above}>above the threshold</option>
         </select>
       </div>
-      <div class="field"><label for="threshold-value">the value</label><input id="threshold-value"
+      <div class="field"><label for="threshold-value">Threshold</label><input id="threshold-value"
           name="value" value={axis(@panel.threshold, 1)} inputmode="decimal" phx-debounce="400"></div>
     </form>
     <div :for={{vis, index} <- Enum.with_index(@panel.vis)} class="viz">
       <div class="head"><span title={vis.stream}>{vis.stream}{vis.path}</span>
         <button class="mini" type="button" phx-click="remove_vis" phx-value-panel={@panel.id}
-            phx-value-index={index} title="Take it out" aria-label="Take it out"><.icon
+            phx-value-index={index} title="Remove from the panel" aria-label="Remove from the panel"><.icon
             name={:close} /></button>
       </div>
       <div class="kind">{kind_title(vis, @known)}</div>
@@ -219,11 +219,11 @@ defmodule Situ.Studio.Web.Side do
     """
   end
 
-  # A field for a colour shows one at all times: black would be no truth where there are several, or none.
+  # A color input always shows a color. A class marks inputs without a value, because black would be misleading.
   defp unset(nil, option), do: (option[:several] && "several") || (option[:auto] && "none")
   defp unset(_, _), do: nil
 
-  # 3.0 as a person writes it
+  # Writes 3.0 as 3, like a person would.
   defp plain(x) when is_float(x) and abs(x) < 1.0e15 and trunc(x) == x, do: trunc(x)
   defp plain(x), do: x
 
@@ -245,7 +245,7 @@ defmodule Situ.Studio.Web.Side do
   end
 
   defp title(%{panel: panel}) do
-    %{plot: "Plot", lanes: "Lanes", image: "Picture", value: "Value", bars: "Bars", text: "Text"}
+    %{plot: "Plot", lanes: "Lanes", image: "Image", value: "Value", bars: "Bars", text: "Text"}
     |> Map.merge(%{space: "In space", map: "Map", log: "List", xy: "XY plot", own: "Panel"})
     |> Map.fetch!(panel)
   end

@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Web.SourceList do
   @moduledoc false
-  # The other sources to look at, beside a recording.
+  # The list of other sources that the page of a recording links to.
   alias Situ.Studio.Catalog
   alias Situ.Studio.Datasets.Place
   alias Situ.Studio.Web.Address
 
   @spec of(map()) :: [%{id: String.t(), title: String.t(), kind: atom(), href: String.t()}]
-  # Beside what belongs to a dataset stand its sessions, else all there is.
+  # For a recording of a dataset, the list contains the dataset's sessions; otherwise, it contains all items.
   def of(%{studio: studio, item: %{dataset: id}} = assigns) when is_binary(id) do
     with {:ok, %{path: file}} <- Catalog.find(studio, id),
          {:ok, dataset} <- Situ.Dataset.load(file) do

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.StaticPage do
   @moduledoc false
-  # A page that needs no view on the server: a title, a body, and at most one script.
+  # A page without a view on the server: a title, a body, and at most one script.
   alias Situ.Live.Response
 
   @csp "default-src 'self'; connect-src 'self' ws: wss:; media-src 'self' blob:; frame-ancestors 'none'"
@@ -26,9 +26,9 @@ defmodule Situ.Studio.Web.StaticPage do
   </html>
   """
 
-  @doc "Builds the page with a `:title`, a `:body` and, where it has one, a `:script`; `:status` is 200 by default."
+  @doc "Builds a page from a `:title`, a `:body` and an optional `:script`; `:status` is 200 by default."
   @spec response(base :: String.t(), keyword()) :: Response.t()
-  # `Situ.Live.Public` checks that a base has no character that is special in HTML.
+  # The base is inserted unescaped: `Situ.Live.Public` checks that it has no characters that are special in HTML.
   def response(base, parts) do
     texts = [
       base: base,

@@ -1,13 +1,13 @@
 defmodule Situ.Studio.Web.StreamProps do
   @moduledoc false
-  # Facts about a stream, or about all streams of a group, at the right of the panels.
+  # The properties of a stream, or of all streams of a group, in the right sidebar.
   use Situ.Live.Component
   import Situ.Studio.Web.Times
   alias Situ.Studio.{Figures, Visualizers}
 
   attr(:figures, :any, required: true)
 
-  @doc "The figures of a stream, or of several together."
+  @doc "Renders the statistics of one stream, or the totals of several streams."
   def figures(assigns) do
     rows =
       for {title, choice} <- [
@@ -34,7 +34,7 @@ defmodule Situ.Studio.Web.StreamProps do
 
   attr(:value, :any, required: true)
 
-  @doc "A fact about a stream: text, or a time."
+  @doc "Renders a detail of a stream, either text or a time."
   def told(%{value: {:time, ns}} = assigns) do
     assigns = assign(assigns, ns: ns)
     ~H"<.time ns={@ns} />"
@@ -44,11 +44,11 @@ defmodule Situ.Studio.Web.StreamProps do
 
   attr(:group, :any, required: true)
 
-  @doc "Of a group in the tree."
+  @doc "Describes a group of the stream tree."
   def group(assigns) do
     ~H"""
     <h2>{@group.path}</h2>
-    <div class="sub">{Figures.text(:streams, Figures.sum(@group.streams))} together</div>
+    <div class="sub">{Figures.text(:streams, Figures.sum(@group.streams))} in total</div>
     <.figures figures={Figures.sum(@group.streams)} />
     """
   end
@@ -57,7 +57,7 @@ defmodule Situ.Studio.Web.StreamProps do
   attr(:extra, :list, required: true)
   attr(:snap, :any, required: true)
 
-  @doc "Of one stream, with the ways to draw it."
+  @doc "Describes one stream and the visualizers that accept it."
   def stream(assigns) do
     ~H"""
     <h2>{@stream.name}</h2>

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.StreamTree do
   @moduledoc false
-  # The tree of streams beside the panels: what is found, what is folded, what stands beside the names.
+  # The stream tree next to the panels: its search, its folded groups, and the statistic shown next to the names.
   import Situ.Live.Socket, only: [assign: 2]
 
   alias Situ.Live.Socket
@@ -14,7 +14,7 @@ defmodule Situ.Studio.Web.StreamTree do
     assign(socket, query: String.slice(query, 0, 200), info: info)
   end
 
-  # All that is below a group.
+  # Folds or unfolds everything below a group.
   def handle_event("fold_below", %{"path" => path, "open" => open?}, socket)
       when is_binary(path) do
     below = MapSet.filter(groups(socket), &(&1 == path or String.starts_with?(&1, path <> ".")))
@@ -48,10 +48,10 @@ defmodule Situ.Studio.Web.StreamTree do
         do: row.path
   end
 
-  # Only what can be folded is remembered as folded.
+  # Only groups can be folded.
   defp group?(infos, path), do: Enum.any?(infos, &String.starts_with?(&1.name, path <> "."))
 
-  @doc "The group that is selected, with its streams."
+  @doc "Returns the selected group with its streams, or nil."
   @spec selected(map()) :: %{path: String.t(), streams: [StreamInfo.t()]} | nil
   def selected(%{selected: {:group, path}, infos: streams}) do
     case Enum.filter(streams, &String.starts_with?(&1.name, path <> ".")) do
@@ -62,7 +62,7 @@ defmodule Situ.Studio.Web.StreamTree do
 
   def selected(_), do: nil
 
-  @doc "The rows to show, and how many more there are."
+  @doc "Returns the rows to show, and the number of rows left out."
   @spec rows(%{
           :query => String.t(),
           :infos => [StreamInfo.t()],
@@ -74,7 +74,7 @@ defmodule Situ.Studio.Web.StreamTree do
   end
 
   def rows(%{query: query, infos: streams}) do
-    # by name and by type
+    # the search matches names and types
     streams
     |> Tree.search(query, &"#{&1.name} #{&1.type}")
     |> Tree.build(& &1.name)

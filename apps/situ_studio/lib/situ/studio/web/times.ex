@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Web.Times do
   @moduledoc false
-  # A time in a list or among properties. It is UTC until the page's script has written it as its person wants it.
+  # A time in a list or among properties. The server renders it in UTC; the page's script then rewrites it as the user
+  # prefers.
   use Situ.Live.Component
   alias Situ.Studio.Figures
 
@@ -20,7 +21,7 @@ defmodule Situ.Studio.Web.Times do
   attr(:figures, :any, required: true)
   attr(:of, :string, default: "one")
 
-  @doc "The figure beside a name; in brackets where it is of a group."
+  @doc "Renders the statistic next to a name, in parentheses if it belongs to a group."
   def figure(assigns) do
     part = %{began: "both", date: "date", time: "time"}[assigns.choice]
     text = if part, do: "", else: Figures.text(assigns.choice, assigns.figures)

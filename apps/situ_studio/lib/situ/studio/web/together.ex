@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.Together do
   @moduledoc false
-  # Several browsers on one recording or pipeline: each that shares where it looks tells the others, which show its
-  # cursor, or follow it. The server only passes on; nothing is kept.
+  # Several browsers that view the same recording or pipeline can share their cursor and visible range; others show that
+  # cursor or follow it. The server only forwards these messages and stores nothing.
   import Situ.Live.Socket, only: [connected?: 1, push_event: 3]
 
   alias Situ.Live.Socket
@@ -9,7 +9,7 @@ defmodule Situ.Studio.Web.Together do
 
   @registry Situ.Studio.Peers
 
-  @doc "From now on this page hears of others that look at the same."
+  @doc "Subscribes the page to the views of other pages that show the same item."
   @spec join(Socket.t()) :: Socket.t()
   def join(%{assigns: assigns} = socket) do
     if connected?(socket), do: {:ok, _} = Registry.register(@registry, key(assigns), nil)
@@ -18,7 +18,7 @@ defmodule Situ.Studio.Web.Together do
 
   defp key(%{studio: studio, id: id}), do: {studio, id}
 
-  @doc "Tells the others where this page looks; what is no such message is dropped."
+  @doc "Sends this page's view to the other pages; an invalid view is dropped."
   @spec tell(Socket.t(), map()) :: Socket.t()
   def tell(%{assigns: assigns} = socket, params) do
     with {:ok, told} <- told(params) do
@@ -32,11 +32,11 @@ defmodule Situ.Studio.Web.Together do
     socket
   end
 
-  @doc "Another page has told where it looks."
+  @doc "Pushes the view of another page to this page's script."
   @spec heard(Socket.t(), map()) :: Socket.t()
   def heard(socket, told), do: push_event(socket, "together", told)
 
-  # {who, name, cursor, view, sel, live} as the page makes it: times are whole ns as text.
+  # Expects who, name, cursor, view and live as the page sends them; times are integer nanoseconds as strings.
   defp told(%{"who" => who, "name" => name, "cursor" => cursor, "view" => [from, to]} = params)
        when is_binary(who) and byte_size(who) <= 40 and is_binary(name) do
     with {:ok, _} <- WholeNumber.parse(cursor),

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Dataset.BatchDialog do
   @moduledoc false
-  # Running a batch task: its options as a form, the sessions it runs over, options that were saved before.
+  # The dialog that runs a batch task: a form with its options, the sessions to process, and previously saved options.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
@@ -9,7 +9,7 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
   alias Situ.Studio.Batch.{Configurations, Form, Left}
   alias Situ.Studio.Web.Dataset.Rows
 
-  @doc "Opens it for the task of that name, over one session or all that the search has found."
+  @doc "Opens the dialog for the named task, with one session selected or all sessions that the search found."
   @spec open(Socket.t(), term(), [String.t()]) :: Socket.t()
   def open(socket, name, path) do
     case Enum.find(socket.assigns.tasks, &(&1.name == name)) do
@@ -43,7 +43,7 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
     socket
   end
 
-  # One that ended with the studio that ran it: what is done is kept.
+  # Continues a run that was interrupted when its studio stopped; sessions already processed are kept.
   def handle_event("run_continue", %{"output" => output}, %{assigns: assigns} = socket) do
     with %{} = left <- Enum.find(assigns.left, &(to_string(&1.output) == output)),
          opts = [output: left.output, parallel: left.parallel],
@@ -144,7 +144,7 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
       <p class="hint">{@s.task.about}</p>
       <form :if={@s.saved != []} id="task-saved" phx-change="run_pick">
         <label>Saved options
-          <select name="saved"><option value="">the task's own</option><option :for={{name, _} <- @s.saved}
+          <select name="saved"><option value="">Default options</option><option :for={{name, _} <- @s.saved}
               value={name} selected={name == @s.picked}>{name}</option></select></label>
         <button :if={@s.picked != ""} class="btn" type="button" phx-click="run_forget">Delete {@s.picked}</button>
       </form>
@@ -157,9 +157,9 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
         <div :if={@s.output} class="option"><label for="task-output">Output partition</label>
           <input id="task-output" name="output" value={@s.output} maxlength="200">
           <label class="check"><input type="checkbox" name="overwrite" value="true">
-            in the place of one of that name</label>
+            Replace an existing partition with this name</label>
         </div>
-        <div class="option"><label for="task-parallel">Sessions at once</label>
+        <div class="option"><label for="task-parallel">Sessions in parallel</label>
           <input id="task-parallel" name="parallel" type="number" min="1" max="64" value="1"></div>
         <fieldset>
           <legend>Sessions</legend>
@@ -169,7 +169,7 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
           </div>
         </fieldset>
         <div class="option"><label for="task-keep">Save these options as</label>
-          <input id="task-keep" name="keep" maxlength="60" placeholder="not saved" autocomplete="off"></div>
+          <input id="task-keep" name="keep" maxlength="60" placeholder="leave empty to skip" autocomplete="off"></div>
         <div class="error" role="alert">{@s.error}</div>
         <div class="choices">
           <button class="btn primary" type="submit">Run</button>

@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Web.Dataset.Dialogs do
   @moduledoc false
-  # The dialogs of a dataset's page: for a name, for recordings to add, for a task's options.
+  # The dialogs of a dataset's page: entering a name, adding recordings or folders, replacing and exporting a recording,
+  # and running a task.
   use Situ.Live.Component
   alias Situ.Studio.Web.Dataset.BatchDialog
 
@@ -35,7 +36,7 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
         <h3>{if @path == [], do: "Add recordings, each as a session", else: "Add recordings to #{hd(@path)}"}</h3>
         <div class="pick">
           <label :for={{id, _} <- @free}><input type="checkbox" name={"chosen[#{id}]"} value="true"> {id}</label>
-          <p :if={@free == []} class="hint">Every recording of this folder is in the dataset already.</p>
+          <p :if={@free == []} class="hint">Every recording in this folder is already in the dataset.</p>
         </div>
         <div class="choices">
           <button :if={@free != []} class="btn primary" type="submit">Add</button>
@@ -48,19 +49,19 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
 
   def dialog(%{dialog: {:relocate, _, _}} = assigns) do
     {:relocate, path, free} = assigns.dialog
-    assigns = assign(assigns, title: "Take another recording for #{List.last(path)}", free: free)
+    assigns = assign(assigns, title: "Use another recording for #{List.last(path)}", free: free)
 
     ~H"""
     <dialog id="relocate" phx-hook="Modal" aria-label={@title}>
       <form id="relocate-form" phx-submit="take">
         <h3>{@title}</h3>
-        <p class="hint">For a recording that was moved or renamed. Name and metadata stay.</p>
+        <p class="hint">Use this if a recording was moved or renamed. Name and metadata stay the same.</p>
         <div class="pick">
           <label :for={{id, _} <- @free}><input type="radio" name="chosen" value={id} required> {id}</label>
-          <p :if={@free == []} class="hint">Every recording of this folder is in the dataset already.</p>
+          <p :if={@free == []} class="hint">Every recording in this folder is already in the dataset.</p>
         </div>
         <div class="choices">
-          <button :if={@free != []} class="btn primary" type="submit">Take it</button>
+          <button :if={@free != []} class="btn primary" type="submit">Use it</button>
           <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
         </div>
       </form>
@@ -82,7 +83,7 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
         <div class="pick">
           <label :for={{id, _} <- @folders}><input type="radio" name="folder" value={id} required>
             {if id == ".", do: "the studio's own folder", else: id}</label>
-          <p :if={@folders == []} class="hint">There are no folders with recordings here.</p>
+          <p :if={@folders == []} class="hint">No folder here contains recordings.</p>
         </div>
         <div class="choices">
           <button :if={@folders != []} class="btn primary" type="submit">Add</button>
@@ -104,14 +105,14 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
       )
 
     ~H"""
-    <dialog id="part" phx-hook="Modal" aria-label="Save a part as a recording">
+    <dialog id="part" phx-hook="Modal" aria-label="Save a section as a recording">
       <form id="part-form" phx-submit="save_part">
-        <h3>Save a part of {@item.title} as a recording</h3>
-        <p class="hint">It lasts {@length}. The copy is written to {Path.dirname(@item.path)}; this recording stays as
-          it is.</p>
+        <h3>Save a section of {@item.title} as a recording</h3>
+        <p class="hint">This recording lasts {@length} and is not modified. The copy is written to
+          {Path.dirname(@item.path)}.</p>
         <label>Name <input name="name" value={String.slice(@item.title, 0, 50) <> " part"} maxlength="60"
             autocomplete="off" required autofocus></label>
-        <label>From, in seconds after the beginning, or a time <input name="from" value="0"
+        <label>From (seconds after the start, or a time) <input name="from" value="0"
             autocomplete="off"></label>
         <label>To <input name="to" value={@seconds} autocomplete="off"></label>
         <div class="choices">
@@ -126,14 +127,16 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
   def dialog(%{dialog: {:task, _}} = assigns), do: BatchDialog.dialog(assigns)
 
   defp folder_title("session", _), do: "Add a folder as one session"
-  defp folder_title("sessions", _), do: "Add each folder in a folder as a session"
+  defp folder_title("sessions", _), do: "Add each subfolder of a folder as a session"
 
   defp folder_title("recordings", [session | _]),
     do: "Add all recordings of a folder to #{session}"
 
-  defp about("session"), do: "All recordings in and below it belong to the session."
-  defp about("sessions"), do: "Sessions that the dataset has already are passed over."
-  defp about("recordings"), do: "Recordings that the session has already are passed over."
+  defp about("session"),
+    do: "All recordings in the folder and its subfolders are added to the session."
+
+  defp about("sessions"), do: "Sessions that are already in the dataset are skipped."
+  defp about("recordings"), do: "Recordings that are already in the session are skipped."
 
   defp title("session", _), do: "New session"
   defp title("copy", _), do: "Save a copy of the dataset as"

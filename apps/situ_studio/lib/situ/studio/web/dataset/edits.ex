@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.Dataset.Edits do
   @moduledoc """
-  The edits of a dataset's page: each event becomes an edit by the dataset's process, or a dialog that asks for the
-  values the edit needs.
+  Edits from a dataset's page. Each event either becomes an edit by the dataset's process, or opens a dialog that asks
+  for the values the edit needs.
   """
   alias Situ.{Dataset, Error}
   alias Situ.Dataset.{Partition, Session}
@@ -11,7 +11,7 @@ defmodule Situ.Studio.Web.Dataset.Edits do
   alias Situ.Studio.Web.Dataset.Rows
 
   @doc """
-  The row an event is about: a list of names, as JSON where it comes with a click.
+  Returns the path of the row that an event refers to: a list of names, which a click sends as JSON.
 
       iex> Situ.Studio.Web.Dataset.Edits.path(%{"path" => ~s(["p01", "Room"])})
       ["p01", "Room"]
@@ -27,7 +27,7 @@ defmodule Situ.Studio.Web.Dataset.Edits do
   def path(%{"path" => path}) when is_list(path), do: Enum.filter(path, &is_binary/1)
   def path(_), do: []
 
-  @doc "The page's new assigns, or an error to show."
+  @doc "Applies an event and returns the page's changed assigns, or an error to show."
   @spec apply(String.t(), map(), map()) :: {:ok, keyword()} | {:error, Error.t()} | :ignore
   def apply("ask", %{"what" => what} = params, _assigns)
       when what in ["session", "rename", "copy"] do
@@ -39,7 +39,7 @@ defmodule Situ.Studio.Web.Dataset.Edits do
   def apply("answer", %{"text" => text}, %{dialog: {:ask, "session", _, _}} = assigns),
     do: edited(assigns, &Dataset.add_session(&1, String.trim(text)))
 
-  # The dataset under another name beside this one, for a start of one's own or to keep what cannot be kept here.
+  # Saves a copy under another name in the same folder, as a new starting point or because this format is read-only.
   def apply("answer", %{"text" => text}, %{dialog: {:ask, "copy", _, _}} = assigns) do
     %{dataset: dataset, file: file, id: id} = assigns
     name = text |> String.trim() |> String.replace_suffix(".json", "")
@@ -53,8 +53,7 @@ defmodule Situ.Studio.Web.Dataset.Edits do
       {:ok, dialog: nil, go: Address.dataset(at)}
     else
       true ->
-        {:error,
-         Error.new(:exists, "there is a #{name}.json already", fix: "choose another name")}
+        {:error, Error.new(:exists, "#{name}.json already exists", fix: "choose another name")}
 
       {:error, error} ->
         {:error, error}
@@ -170,7 +169,7 @@ defmodule Situ.Studio.Web.Dataset.Edits do
     end
   end
 
-  # The recordings go first: what cannot be deleted stays in the dataset.
+  # The recordings are deleted first, so that a recording whose deletion fails stays in the dataset.
   def apply("delete", params, assigns) do
     case path(params) do
       [session] ->
@@ -244,7 +243,7 @@ defmodule Situ.Studio.Web.Dataset.Edits do
     end)
   end
 
-  # A session each, or all into one.
+  # Adds the file as a new session, or to an existing one.
   defp add(dataset, [], file), do: step(Dataset.add_recording(dataset, file))
 
   defp add(dataset, [session | _], file),
@@ -269,7 +268,7 @@ defmodule Situ.Studio.Web.Dataset.Edits do
         do: {item.id, item.path}
   end
 
-  # The same partition with another recording: one that was moved or renamed.
+  # Points a partition to another file after its recording was moved or renamed. Its metadata is kept.
   defp relocated(dataset, session, name, file) do
     Dataset.update_session(dataset, session, fn session ->
       with {:ok, old} <- Session.partition(session, name) do
@@ -285,7 +284,7 @@ defmodule Situ.Studio.Web.Dataset.Edits do
   defp added("recordings", dataset, [session | _], folder),
     do: Folders.recordings(dataset, session, folder)
 
-  @doc "The part of a recording that a form asks for: seconds after its beginning, or times."
+  @doc "Parses the time range of an export form, given as times or as seconds after the recording's start."
   @spec part(map(), {:export, Catalog.Item.t(), Facts.t()}) ::
           {:ok, Export.t(), Catalog.Item.t()} | {:error, Error.t()}
   def part(params, {:export, item, facts}) do
@@ -310,8 +309,9 @@ defmodule Situ.Studio.Web.Dataset.Edits do
 
       _ ->
         {:error,
-         Error.new(:bad_time, "#{text} is no time",
-           fix: "write seconds after the beginning, such as 12.5"
+         Error.new(:bad_time, "invalid time: #{text}",
+           fix:
+             "write a time such as 2026-01-31T12:34:56Z, or seconds after the start such as 12.5"
          )}
     end
   end

@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Web.Dataset.Menu do
   @moduledoc """
-  The menus of a dataset's tree, as the page shows them under the right mouse button and behind the dots of a row: a
-  list of `%{text:, event: | href: | copy:}`, where `sure` asks a second time and `-` is a line.
+  Context menus of a dataset's tree, shown on a right click and by a row's "⋯" button. A menu is a list of
+  `%{text:, event: | href: | copy:}`; `sure` is a confirmation question, and `-` is a separator.
   """
   alias Situ.Studio.Datasets.Place
   alias Situ.Studio.Web.Address
 
-  @doc "The menu of a row as JSON; without what writes where the studio is read only."
+  @doc "Returns the menu of a row as JSON. In a read-only studio, it lacks the entries that modify something."
   @spec of(map(), map()) :: String.t()
   def of(row, %{id: id, tasks: tasks, read_only: read_only}) do
     row
@@ -19,7 +19,7 @@ defmodule Situ.Studio.Web.Dataset.Menu do
     |> Situ.JSON.encode()
   end
 
-  # No line at either end, and no two.
+  # Removes separators at both ends, and repeated ones.
   defp tidy(items) do
     items
     |> Enum.dedup_by(&if(&1 == "-", do: "-", else: make_ref()))
@@ -36,15 +36,15 @@ defmodule Situ.Studio.Web.Dataset.Menu do
       event("New session…", "ask", row, %{what: "session"}),
       event("Add recordings as sessions…", "recordings", row),
       event("Add a folder as one session…", "folders", row, %{what: "session"}),
-      event("Add each folder in a folder as a session…", "folders", row, %{what: "sessions"}),
+      event("Add each subfolder of a folder as a session…", "folders", row, %{what: "sessions"}),
       "-"
     ] ++
       tasks(row, tasks) ++
       [
         "-",
-        event("Note checksums of all recordings", "seal", row),
+        event("Save checksums of all recordings", "seal", row),
         event("Save a copy as…", "ask", row, %{what: "copy"}),
-        %{text: "Copy its name", copy: row.label}
+        %{text: "Copy name", copy: row.label}
       ] ++ folding(row)
   end
 
@@ -59,15 +59,15 @@ defmodule Situ.Studio.Web.Dataset.Menu do
         "-"
       ] ++
       tasks(row, tasks) ++
-      ["-", %{text: "Copy its name", copy: row.label}] ++
+      ["-", %{text: "Copy name", copy: row.label}] ++
       folding(row) ++
       [
         "-",
         event("Remove from the dataset", "remove", row, %{
-          sure: "Remove #{row.label} from the dataset? Its recordings stay on the disk."
+          sure: "Remove #{row.label} from the dataset? Its recordings stay on disk."
         }),
         event("Delete with its recordings…", "delete", row, %{
-          sure: "Delete all recordings of #{row.label} from the disk, for ever?"
+          sure: "Permanently delete all recordings of #{row.label} from disk?"
         })
       ]
   end
@@ -77,28 +77,28 @@ defmodule Situ.Studio.Web.Dataset.Menu do
       [
         event("Properties", "select", row),
         "-",
-        event("Save a part as a recording…", "export", row),
+        event("Save a section as a recording…", "export", row),
         event("Rename…", "ask", row, %{what: "rename"}),
-        event("Take another recording for it…", "relocate", row),
+        event("Use another recording…", "relocate", row),
         "-",
-        %{text: "Copy its name", copy: row.label},
-        %{text: "Copy the name of its session", copy: session}
+        %{text: "Copy name", copy: row.label},
+        %{text: "Copy session name", copy: session}
       ] ++
       place(row) ++
       folding(row) ++
       [
         "-",
         event("Remove from the session", "remove", row, %{
-          sure: "Remove #{row.label} from its session? The recording stays on the disk."
+          sure: "Remove #{row.label} from its session? The recording stays on disk."
         }),
         event("Remove from all sessions", "remove_all", row, %{
-          sure: "Remove #{row.label} from every session? The recordings stay on the disk."
+          sure: "Remove #{row.label} from every session? The recordings stay on disk."
         }),
         event("Delete the recording…", "delete", row, %{
-          sure: "Delete the recording #{row.label} from the disk, for ever?"
+          sure: "Permanently delete the recording #{row.label} from disk?"
         }),
         event("Delete it in all sessions…", "delete_all", row, %{
-          sure: "Delete the recordings #{row.label} of every session from the disk, for ever?"
+          sure: "Permanently delete the recordings named #{row.label} of every session from disk?"
         })
       ]
   end
@@ -114,30 +114,30 @@ defmodule Situ.Studio.Web.Dataset.Menu do
       "-",
       event("Properties", "select", row),
       "-",
-      %{text: "Copy its name", copy: stream},
-      %{text: "Copy its address in the session", copy: "[#{partition}]:#{stream}"},
-      %{text: "Copy the name of its recording", copy: partition},
-      %{text: "Copy the name of its session", copy: session}
+      %{text: "Copy name", copy: stream},
+      %{text: "Copy address within the session", copy: "[#{partition}]:#{stream}"},
+      %{text: "Copy recording name", copy: partition},
+      %{text: "Copy session name", copy: session}
     ] ++
       place(row) ++
-      if(row.stream.type, do: [%{text: "Copy its type", copy: row.stream.type}], else: [])
+      if(row.stream.type, do: [%{text: "Copy type", copy: row.stream.type}], else: [])
   end
 
   defp place(%{file: file}) when is_binary(file) do
     [
-      %{text: "Copy the name of its recording on disk", copy: Path.basename(file)},
-      %{text: "Copy the path of its recording", copy: file},
-      %{text: "Copy the path of its folder", copy: Path.dirname(file)}
+      %{text: "Copy file name", copy: Path.basename(file)},
+      %{text: "Copy file path", copy: file},
+      %{text: "Copy folder path", copy: Path.dirname(file)}
     ]
   end
 
   defp place(_), do: []
 
-  # Of what stands below a row.
+  # Entries that fold or unfold everything below a row.
   defp folding(row) do
     [
-      event("Unfold all below it", "fold_below", row, %{open: true}),
-      event("Fold all below it", "fold_below", row, %{open: false})
+      event("Unfold all below", "fold_below", row, %{open: true}),
+      event("Fold all below", "fold_below", row, %{open: false})
     ]
   end
 

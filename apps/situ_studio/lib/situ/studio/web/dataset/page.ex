@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Dataset.Page do
   @moduledoc false
-  # The parts of a dataset's page: the bar, the tree, the properties, the runs.
+  # The components of a dataset's page: the top bar, the tree, the properties and the batch runs.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
   import Situ.Studio.Web.Times
@@ -24,10 +24,11 @@ defmodule Situ.Studio.Web.Dataset.Page do
       <a class="brand" href="." title="All recordings"><.logo /><span>Situ</span></a>
       <h1 class="where" title={@file}>{@title}</h1>
       <span class="grow"></span>
-      <span :if={@read_only} class="hint">read only</span>
+      <span :if={@read_only} class="hint">read-only</span>
       <button :if={not @kept and not @read_only} class="btn" type="button" phx-click="ask" phx-value-what="copy"
-          phx-value-path="[]" title="This kind of file is only read: a copy keeps your changes">Save a copy…</button>
-      <.tool act="theme" icon={:theme} title="Dark or light (t)" />
+          phx-value-path="[]"
+          title="This file format is read-only; save a copy to keep your changes">Save a copy…</button>
+      <.tool act="theme" icon={:theme} title="Switch between dark and light (t)" />
     </header>
     """
   end
@@ -83,7 +84,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
           <button class="dots" type="button" tabindex="-1" aria-haspopup="menu"
               aria-label={"menu of " <> row.label}>⋯</button>
         </div>
-        <p :if={@dataset.sessions == []} class="hint empty">No sessions yet: the menu of the dataset adds them.</p>
+        <p :if={@dataset.sessions == []} class="hint empty">No sessions yet. Add one from the dataset menu.</p>
       </div>
     </main>
     """
@@ -110,7 +111,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
       <.runs :if={@runs != [] or @left != []} runs={@runs} left={@left} now={@now} read_only={@read_only} />
       <.properties :if={@shown} id={"props-#{:erlang.phash2(@selected)}"} read_only={@read_only}
           {Map.take(@shown, [:title, :rows, :name, :tags, :metadata, :stream])} />
-      <p :if={@shown == nil} class="hint">This is no longer in the dataset.</p>
+      <p :if={@shown == nil} class="hint">The selected item is no longer in the dataset.</p>
     </aside>
     """
   end
@@ -124,7 +125,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
 
     length = facts |> Facts.figures() |> Figures.in_turn(sums)
 
-    # from the first message to the last there may be weeks
+    # weeks may pass between the first and the last message, so the total duration is the sum over the sessions
     rows =
       [
         {"Sessions", length(dataset.sessions)},
@@ -183,7 +184,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
       {"Reader", partition.reader},
       {"Checksum", partition.checksum},
       {"Trouble", facts.error && Exception.message(facts.error)},
-      {"Live", facts.live && "it is being recorded"}
+      {"Live", facts.live && "being recorded"}
     ]
     |> Enum.filter(&elem(&1, 1))
   end
@@ -226,9 +227,9 @@ defmodule Situ.Studio.Web.Dataset.Page do
       </dl>
       <form :if={not @stream} id={@id} class="metadata" phx-submit="save_properties">
         <label :if={@name}>Name <input name="name" value={@name} maxlength="200" disabled={@read_only}></label>
-        <label :if={@tags}>Tags, with commas between <input name="tags" value={Enum.join(@tags, ", ")}
+        <label :if={@tags}>Tags, separated by commas <input name="tags" value={Enum.join(@tags, ", ")}
             disabled={@read_only} placeholder="pilot, english"></label>
-        <label>Metadata, NAME: VALUE a line
+        <label>Metadata, one NAME: VALUE per line
           <textarea name="metadata" rows="6" disabled={@read_only}
               placeholder="participant: P07">{Rows.lines(@metadata)}</textarea></label>
         <button :if={not @read_only} class="btn primary" type="submit">Save</button>
@@ -248,13 +249,13 @@ defmodule Situ.Studio.Web.Dataset.Page do
       <h2>Batch runs</h2>
       <div :for={left <- @left} :key={left.task <> to_string(left.output)} class="run left">
         <div class="head"><b>{left.task}</b><span :if={left.output}> to {left.output}</span></div>
-        <p class="hint">Ended with the studio that ran it, over {length(left.sessions)}
-          {if length(left.sessions) == 1, do: "session", else: "sessions"}. Sessions that are done are kept.</p>
+        <p class="hint">Interrupted when its studio stopped, with {length(left.sessions)}
+          {if length(left.sessions) == 1, do: "session", else: "sessions"}. Finished sessions are kept.</p>
         <div :if={not @read_only} class="choices">
           <button class="btn primary" type="button" phx-click="run_continue"
-              phx-value-output={to_string(left.output)}>Go on with it</button>
+              phx-value-output={to_string(left.output)}>Continue</button>
           <button class="btn" type="button" phx-click="run_leave"
-              phx-value-output={to_string(left.output)}>Leave it</button>
+              phx-value-output={to_string(left.output)}>Discard</button>
         </div>
       </div>
       <div :for={run <- @runs} :key={run.id} id={"run-#{run.id}"} class={["run", to_string(run.status)]}>

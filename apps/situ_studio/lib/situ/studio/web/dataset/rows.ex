@@ -1,13 +1,13 @@
 defmodule Situ.Studio.Web.Dataset.Rows do
   @moduledoc """
-  The rows of a dataset's tree: the dataset, its sessions, their recordings, the streams of those; and which of them a
-  search finds.
+  The rows of a dataset's tree: the dataset, its sessions, their recordings and the streams of those. A search filters
+  the sessions.
   """
   alias Situ.Dataset
   alias Situ.Studio.Datasets.Facts
   alias Situ.Studio.Figures
 
-  @typedoc "`path` tells a row: session, partition, stream, as many as it has."
+  @typedoc "A row of the tree. Its `path` has the names of session, partition and stream, as far as they apply."
   @type row :: %{
           path: [String.t()],
           kind: :dataset | :session | :partition | :stream,
@@ -21,7 +21,7 @@ defmodule Situ.Studio.Web.Dataset.Rows do
           trouble: String.t() | nil
         }
 
-  @doc "The rows that are in sight; `facts` are those of each recording's path that are known by now."
+  @doc "Returns the visible rows; `facts` maps the paths of recordings to the facts loaded so far."
   @spec of(Dataset.t(), %{Path.t() => Facts.t()}, MapSet.t([String.t()]), String.t()) :: [row()]
   def of(%Dataset{} = dataset, facts, open, query) do
     words = query |> String.downcase() |> String.split()
@@ -110,7 +110,7 @@ defmodule Situ.Studio.Web.Dataset.Rows do
     ]
   end
 
-  # Every word stands somewhere: in the session's name, its tags or metadata, its recordings, or their streams.
+  # Every word must occur in the session's name, tags or metadata, or in the names of its recordings or their streams.
   defp found?(_session, _facts, []), do: true
 
   defp found?(session, facts, words) do
@@ -127,7 +127,7 @@ defmodule Situ.Studio.Web.Dataset.Rows do
   end
 
   @doc """
-  Metadata as a person edits it, a line for each; what is no text is JSON.
+  Formats metadata for editing, one entry per line. Values that are not strings are written as JSON.
 
       iex> Situ.Studio.Web.Dataset.Rows.lines(%{"age" => 31, "room" => "A 3"})
       "age: 31\\nroom: A 3"
@@ -142,13 +142,13 @@ defmodule Situ.Studio.Web.Dataset.Rows do
     do: metadata |> Enum.sort() |> Enum.map_join("\n", fn {k, v} -> "#{k}: #{text(v)}" end)
 
   defp text(value) when is_binary(value) do
-    # a text that reads as another value is written as what it is
+    # a string that would be parsed as another JSON value is quoted
     if read(value) == value, do: value, else: Situ.JSON.encode(value)
   end
 
   defp text(value), do: Situ.JSON.encode(value)
 
-  @doc "The metadata out of such lines."
+  @doc "Parses metadata from such lines."
   @spec metadata(String.t()) :: {:ok, map()} | {:error, Situ.Error.t()}
   def metadata(text) do
     text
