@@ -1,24 +1,24 @@
 defmodule Situ.CLI do
   @moduledoc """
-  The `situ` command line: finds the verb, reads its arguments, runs it, turns its answer into an exit status.
+  The `situ` command line: finds the verb, parses its arguments, runs it and returns an exit status.
 
       $ bin/situ --help
       $ bin/situ store info recordings/lobby.0000
 
-  Exit status: 0 done; 1 the command failed and said why on standard error, or found damage or differences; 2 wrong
-  usage; 130 stopped by Ctrl-C; 141 the reader of a pipe closed it.
+  Exit status: 0 success; 1 the command failed and reported why on standard error, or found damage or differences;
+  2 wrong usage; 130 stopped by Ctrl-C; 141 the reader of a pipe closed it.
 
-  Verbs are tables (`Situ.CLI.Verb`); `situ completion` and `situ manual` are made from the same.
+  Verbs are tables (`Situ.CLI.Verb`), which `situ completion` and `situ manual` use as well.
   """
   alias Situ.CLI.{Commands, Help, Output, Parser, Plugin}
 
-  # The verbs to which plug-ins add: readers of files, and tasks.
+  # Plug-ins add file readers and tasks to these commands.
   @extended ~w(store dataset task query annotate)
 
-  @doc "Runs the command line that the VM was started with, and ends the VM with its exit status."
+  @doc "Runs the command line that the VM was started with, then stops the VM with the exit status."
   @spec start() :: no_return()
   def start do
-    # The shell's own start of Elixir would refuse bytes that are no UTF-8; file names may have them.
+    # Elixir's own start script rejects bytes that are not UTF-8, but file names may contain them.
     {:ok, _} = Application.ensure_all_started(:elixir)
     main(Enum.map(:init.get_plain_arguments(), &argument/1))
   end
@@ -33,7 +33,7 @@ defmodule Situ.CLI do
     end
   end
 
-  @doc "Runs the command line `argv` and ends the VM with its exit status."
+  @doc "Runs the command line `argv` and stops the VM with the exit status."
   @spec main([String.t()]) :: no_return()
   def main(argv) do
     Situ.CLI.ClosedPipe.silence_reports()
@@ -88,7 +88,7 @@ defmodule Situ.CLI do
     end
   end
 
-  # A verb finds wrong what its table alone cannot say.
+  # A verb throws `{:usage, why}` for errors that the parser cannot detect from the verb's table.
   defp ran(verb, arguments, options) do
     Enum.each(
       [:situ_examples | Application.spec(:situ_cli, :applications) || []],
@@ -101,7 +101,7 @@ defmodule Situ.CLI do
     :throw, {:usage, why} -> wrong(verb, why)
   end
 
-  # Recordings may contain structs of all applications of Situ, but only those of loaded applications are read.
+  # Recordings may contain structs of any Situ application, but only structs of loaded applications can be read.
   defp load_application(app) do
     if String.starts_with?(to_string(app), "situ") and Application.load(app) == :ok,
       do: Enum.each(Application.spec(app, :applications), &load_application/1)
@@ -113,18 +113,18 @@ defmodule Situ.CLI do
     2
   end
 
-  @doc "This version of Situ."
+  @doc "Returns the version of Situ."
   @spec version() :: String.t()
   def version, do: to_string(Application.spec(:situ_cli, :vsn) || "0.1.0")
 
-  # The border to the user: an expected failure is a sentence, not a stacktrace.
+  # Users see an expected failure as a sentence, not as a stack trace.
   defp guarded(work) do
     work.()
   rescue
     error in Situ.Error ->
       fail(error, 1)
 
-    # The reader of the output has closed it (`situ ... | head`): exit with the status of a broken pipe.
+    # The reader of the output closed it (`situ ... | head`), so exit with the status of a broken pipe.
     error in ErlangError ->
       if Map.get(error, :original) == :terminated, do: 141, else: fault(error, __STACKTRACE__)
 
@@ -140,12 +140,12 @@ defmodule Situ.CLI do
     status
   end
 
-  # Not the user's fault: what a report needs, and nothing of it hidden.
+  # The error is a bug in Situ, so print everything that a bug report needs.
   defp fault(error, stack) do
-    Output.warn("situ: a fault in situ itself: #{Exception.format_banner(:error, error, stack)}")
+    Output.warn("situ: a bug in situ itself: #{Exception.format_banner(:error, error, stack)}")
 
     if System.get_env("SITU_DEBUG") in [nil, ""],
-      do: Output.warn("  Fix: report it with what `SITU_DEBUG=1 situ ...` prints"),
+      do: Output.warn("  Fix: report it, with the output of `SITU_DEBUG=1 situ ...`"),
       else: Output.warn(Exception.format_stacktrace(stack))
 
     1

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Annotate do
-  @moduledoc "The verbs of `situ annotate`: annotations from and for other programs, and how far annotators agree."
+  @moduledoc "The verbs of `situ annotate`: import and export annotations, and measure the agreement of annotators."
   @behaviour Situ.CLI.Verb
   alias Situ.Annotation.{Agreement, Exchange, Layer, Recording, Schema}
   alias Situ.CLI.{Input, Option, Output, Verb}
@@ -30,10 +30,10 @@ defmodule Situ.CLI.Annotate do
       %Verb{
         words: ["annotate", "export"],
         summary:
-          "write an annotation stream for ELAN, Praat, players, Label Studio, spreadsheets, or as COCO",
+          "export an annotation stream for ELAN, Praat, players, Label Studio, spreadsheets, or as COCO",
         about: """
-        The file's ending chooses the format (.eaf, .TextGrid, .vtt, .srt, .json, .csv, .coco.json). The command lists
-        the data that the format cannot hold.
+        The file's extension selects the format (.eaf, .TextGrid, .vtt, .srt, .json, .csv, .coco.json). The command
+        lists the data that the format cannot hold.
         """,
         arguments: [
           path: [kind: :recording, doc: "a recording with annotations"],
@@ -41,11 +41,11 @@ defmodule Situ.CLI.Annotate do
         ],
         options: [
           stream(),
-          Option.new(:format, @format_words, "the format, whatever the ending"),
+          Option.new(:format, @format_words, "the format, regardless of the file's extension"),
           Option.new(
             :origin,
             :time,
-            "the time that the file calls zero (default: that of --media-of, else the first annotation)"
+            "the time that is zero in the file (default: the start of --media-of, else the first annotation)"
           ),
           Option.new(
             :media_of,
@@ -53,11 +53,11 @@ defmodule Situ.CLI.Annotate do
             "the recording that the annotations are about: its first message is zero",
             value: "PATH"
           ),
-          Option.new(:media, :path, "the film or sound that the file names"),
+          Option.new(:media, :path, "the video or audio file that the exported file refers to"),
           Option.new(
             :pictures,
             :string,
-            "COCO: boxes on each picture of this stream of --media-of, not on key frames only",
+            "COCO: boxes on each image of this stream of --media-of, not only on key frames",
             value: "NAME"
           )
         ],
@@ -69,24 +69,25 @@ defmodule Situ.CLI.Annotate do
       %Verb{
         words: ["annotate", "import"],
         summary:
-          "make an annotation store out of a file of ELAN, Praat, players, Label Studio or spreadsheets",
-        about: "A store of that name gets a new version; its other streams are copied.",
+          "create an annotation store from a file of ELAN, Praat, players, Label Studio or spreadsheets",
+        about:
+          "If a store of that name exists, it gets a new version; its other streams are copied.",
         arguments: [
           file: [kind: :file, doc: "the file to read; - for standard input, with --format"],
           out: [kind: :new, doc: "ROOT/NAME of the annotation store"]
         ],
         options: [
           stream(),
-          Option.new(:format, @format_words, "the format, whatever the ending"),
+          Option.new(:format, @format_words, "the format, regardless of the file's extension"),
           Option.new(
             :schema,
             :path,
-            "the schema to read by (JSON); default: the file's own, or text"
+            "the schema to use (JSON); default: the file's own, or text"
           ),
           Option.new(
             :origin,
             :time,
-            "the time that the file calls zero (default: what the file says, else 0)"
+            "the time that is zero in the file (default: the file's own statement, else 0)"
           ),
           Option.new(
             :media_of,
@@ -109,14 +110,14 @@ defmodule Situ.CLI.Annotate do
         ],
         options: [
           stream(),
-          Option.new(:attribute, :string, "the attribute compared (default: the first)",
+          Option.new(:attribute, :string, "the attribute to compare (default: the first)",
             value: "NAME"
           ),
           Option.new(:track, :string, "only this track", many?: true, value: "NAME"),
-          Option.new(:frame, :span, "the distance of the instants compared", default: 10_000_000),
-          Option.new(:from, :time, "begin of the span"),
-          Option.new(:to, :time, "its end"),
-          Option.new(:least, :float, "status 1 when kappa is below this")
+          Option.new(:frame, :span, "the interval between compared times", default: 10_000_000),
+          Option.new(:from, :time, "start of the compared span"),
+          Option.new(:to, :time, "end of the compared span"),
+          Option.new(:least, :float, "exit with status 1 if kappa is below this value")
         ],
         examples: ["situ annotate agreement anna/annotation ben.eaf --frame 40ms --least 0.8"],
         run: &agreement/2
@@ -180,7 +181,7 @@ defmodule Situ.CLI.Annotate do
         do: Output.puts("  #{Output.name(track.name)}: #{track.annotations}")
   end
 
-  # A recording's only annotation stream, or the one named.
+  # Returns the named stream, or the recording's only annotation stream.
   defp chosen(store, nil) do
     case for info <- Store.streams(store), Recording.annotations?(store, info), do: info.name do
       [one] ->
@@ -188,14 +189,14 @@ defmodule Situ.CLI.Annotate do
 
       [] ->
         raise Error.new(:no_stream, "#{store.path} has no annotation stream",
-                fix: "`situ store info` lists its streams"
+                fix: "run `situ store info` to list its streams"
               )
 
       several ->
         raise Error.new(
                 :ambiguous_stream,
                 "#{store.path} has #{length(several)} annotation streams",
-                fix: "choose by --stream: #{Enum.join(several, ", ")}"
+                fix: "choose one with --stream: #{Enum.join(several, ", ")}"
               )
     end
   end
@@ -210,8 +211,7 @@ defmodule Situ.CLI.Annotate do
 
     losses =
       if file == "-" do
-        format =
-          format(opts) || throw({:usage, "to standard output in which format? Give --format"})
+        format = format(opts) || throw({:usage, "standard output needs a format: give --format"})
 
         {:ok, text, losses} = Exchange.encode(layer, format, options)
         Output.raw(text)
@@ -229,7 +229,8 @@ defmodule Situ.CLI.Annotate do
 
   defp pictures(name, opts) do
     path =
-      opts[:media_of] || throw({:usage, "--pictures names a stream of --media-of: give both"})
+      opts[:media_of] ||
+        throw({:usage, "--pictures names a stream of --media-of: give both options"})
 
     messages = path |> Situ.CLI.Recording.open!() |> Store.messages(name, envelopes: true)
     [times: Enum.map(messages, & &1.originating_time)]
@@ -269,7 +270,7 @@ defmodule Situ.CLI.Annotate do
 
     {layer, losses} =
       if file == "-" do
-        format = format(opts) || throw({:usage, "standard input in which format? Give --format"})
+        format = format(opts) || throw({:usage, "standard input needs a format: give --format"})
         read(Exchange.decode(Input.read(), format, options))
       else
         read(Exchange.read(file, options ++ if(f = format(opts), do: [format: f], else: [])))
@@ -303,7 +304,7 @@ defmodule Situ.CLI.Annotate do
     if opts[:least] && (report.kappa || 1.0) < opts[:least], do: 1, else: 0
   end
 
-  # A recording, or a file of another program.
+  # Accepts a recording or a file of another program.
   defp layer(path, stream) do
     with true <- File.regular?(path), {:ok, _} <- Exchange.format(path) do
       path |> Exchange.read(name: stream || "Annotation") |> read() |> elem(0)

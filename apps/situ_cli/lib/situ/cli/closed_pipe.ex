@@ -1,9 +1,9 @@
 defmodule Situ.CLI.ClosedPipe do
   @moduledoc false
-  # A reader that closes the pipe early (`situ store info x | head`) ends Erlang's output process. The supervisor of
-  # that process reports an error, which is of no use to somebody who asked for the first lines.
+  # A reader that closes the pipe early (`situ store info x | head`) ends Erlang's output process. Its supervisor then
+  # reports an error, which is useless to someone who asked for the first lines.
 
-  @doc "Keeps the reports that follow from a closed pipe out of the log."
+  @doc "Keeps the error reports that follow a closed pipe out of the log."
   @spec silence_reports() :: :ok
   def silence_reports do
     _ = :logger.add_primary_filter(__MODULE__, {&filter_report/2, []})
@@ -11,7 +11,7 @@ defmodule Situ.CLI.ClosedPipe do
   end
 
   @doc """
-  Returns `:stop` for the report of the output's supervisor, and `:ignore` for all others.
+  Returns `:stop` for reports of the output's supervisor, and `:ignore` for all other events.
 
       iex> state = {:state, :user_sup, :undefined, self(), {self(), :user_sup}}
       iex> report = %{label: {:gen_server, :terminate}, last_message: {:EXIT, self(), :epipe}, state: state}

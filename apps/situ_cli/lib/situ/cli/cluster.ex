@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Cluster do
-  @moduledoc "`situ cluster`: nodes of a cluster, and what runs on them."
+  @moduledoc "The verbs of `situ cluster`: the nodes of a cluster and the deployments that run on them."
   @behaviour Situ.CLI.Verb
 
   alias Situ.{Cluster, Error}
@@ -21,7 +21,7 @@ defmodule Situ.CLI.Cluster do
       %Verb{
         words: ["cluster", "init"],
         summary:
-          "make a cluster's cookie, certificates and login for NATS, to be copied to every machine",
+          "create a cluster's cookie, certificates and NATS login, to be copied to every machine",
         options: [@folder],
         examples: ["situ cluster init"],
         run: fn _, opts -> init(opts) end
@@ -30,23 +30,28 @@ defmodule Situ.CLI.Cluster do
         words: ["cluster", "join"],
         summary: "run a node of a cluster until it is stopped",
         about: """
-        NAME says the port that the node listens on: situ-9301@10.0.0.1 listens on 10.0.0.1, port 9301. Nodes talk by
-        TLS when the folder of `situ cluster init` is there. A node that is told to end (SIGTERM) hands its parts over
-        first; one that is killed is missed after a second, and its parts go on elsewhere from their last checkpoints.
-        With --log nats://... it logs in by the files of that folder, over TLS.
+        NAME contains the port that the node listens on: situ-9301@10.0.0.1 listens on 10.0.0.1, port 9301. Nodes
+        communicate over TLS if the folder of `situ cluster init` exists. A node that receives SIGTERM first hands its
+        parts over to other nodes. If a node is killed, the others notice after a second and continue its parts from
+        their last checkpoints. With --log nats://... it logs in with the files of that folder, over TLS.
         """,
         arguments: [name: [kind: :text, doc: "the node's name, with port and address"]],
         options: [
           Option.new(:log, :string, "the log that all nodes share: a folder, or nats://host:4222",
             value: "ADDRESS"
           ),
-          Option.new(:label, :string, "what rules of place may call it", many?: true),
-          Option.new(:device, :string, "what is plugged in here (rules near:DEVICE)", many?: true),
+          Option.new(:label, :string, "a label that placement rules can use", many?: true),
+          Option.new(:device, :string, "a device attached to this node (rules near:DEVICE)",
+            many?: true
+          ),
           Option.new(:studio, :integer, "show the cluster in a studio on this port of 127.0.0.1"),
-          Option.new(:recordings, :path, "the folder whose recordings all nodes may open",
+          Option.new(:recordings, :path, "the folder of recordings that all nodes may open",
             value: "FOLDER"
           ),
-          Option.new(:peer, :string, "another node to begin with", value: "NODE", many?: true),
+          Option.new(:peer, :string, "another node to connect to first",
+            value: "NODE",
+            many?: true
+          ),
           Option.new(:require, :path, "Elixir file with the pipelines", many?: true),
           @folder
           | ClusterLog.options()
@@ -71,11 +76,11 @@ defmodule Situ.CLI.Cluster do
     Error.unwrap!(Identity.create(folder))
 
     Output.puts(
-      "made #{folder}: copy it to every machine of the cluster, for its owner's eyes only"
+      "created #{folder}: copy it to every machine of the cluster, readable only by its owner"
     )
 
     Output.puts(
-      "#{Path.join(folder, "nats-server")} is for the machine of a NATS server alone: move it there"
+      "#{Path.join(folder, "nats-server")} is only for the machine of the NATS server: move it there"
     )
 
     0
@@ -93,7 +98,7 @@ defmodule Situ.CLI.Cluster do
     start(name, opts)
 
     for peer <- opts[:peer], Node.connect(String.to_atom(peer)) != true do
-      Output.warn("situ cluster: #{peer} does not answer; it is not waited for")
+      Output.warn("situ cluster: #{peer} is not responding; joining without it")
     end
 
     recordings = opts[:recordings] || if(File.dir?("recordings"), do: "recordings")
@@ -115,7 +120,7 @@ defmodule Situ.CLI.Cluster do
           "the cluster is shown at #{ClusterNode.studio(opts[:studio], recordings)}cluster"
         )
 
-    # Behind this function Erlang's own begins to shut all down: it returns to nobody, and `leave/0` takes its time.
+    # After this handler returns, Erlang's own handler shuts the VM down, so it blocks while `leave/0` does its work.
     joined = self()
     trap = fn -> send(joined, :leave) && Process.sleep(:infinity) end
     {:ok, _} = System.trap_signal(:sigterm, trap)
@@ -129,13 +134,13 @@ defmodule Situ.CLI.Cluster do
         1
 
       :leave ->
-        Output.puts("#{name} leaves; its parts go on elsewhere")
+        Output.puts("#{name} is leaving; its parts continue on other nodes")
         leave()
         0
     end
   end
 
-  # With a checkpoint of each part, where another node can take it; those who stop a service wait for some seconds.
+  # Drains each part with a checkpoint if another node can take it. Service managers allow some seconds for a stop.
   defp leave do
     %{members: members, deployments: deployments} = Cluster.Agent.info()
 
@@ -190,18 +195,20 @@ defmodule Situ.CLI.Cluster do
     }
   end
 
-  # Another VM that looks in, and is no member.
+  # Calls a function on the given node, from a VM that is not a member of the cluster.
   defp ask(opts, module, function, args) do
     node =
-      opts[:node] || raise Error.new(:usage, "which node?", fix: "give --node situ-9301@10.0.0.1")
+      opts[:node] ||
+        raise Error.new(:usage, "no node given", fix: "give --node situ-9301@10.0.0.1")
 
     unless Node.alive?(), do: start("situ_cli_#{System.pid()}@127.0.0.1", opts)
     node = String.to_atom(node)
 
     unless :net_kernel.hidden_connect_node(node) == true do
-      raise Error.new(:unreachable, "#{node} does not answer",
-              why: "it does not run, or has another cookie or other certificates",
-              fix: "check the name, and that both have the same folder of `situ cluster init`"
+      raise Error.new(:unreachable, "#{node} is not responding",
+              why: "it is not running, or uses a different cookie or different certificates",
+              fix:
+                "check the name, and that both nodes use the same folder of `situ cluster init`"
             )
     end
 
@@ -209,10 +216,10 @@ defmodule Situ.CLI.Cluster do
       :erpc.call(node, module, function, args, 120_000)
     catch
       :error, {:erpc, reason} ->
-        raise Error.new(:unreachable, "#{node} is lost: #{inspect(reason)}")
+        raise Error.new(:unreachable, "lost the connection to #{node}: #{inspect(reason)}")
 
       :exit, _ ->
-        raise Error.new(:no_member, "#{node} is no member of a cluster",
+        raise Error.new(:no_member, "#{node} is not a member of a cluster",
                 fix: "see `situ cluster join`"
               )
     end
@@ -227,7 +234,7 @@ defmodule Situ.CLI.Cluster do
       Application.put_env(:kernel, :inet_dist_use_interface, ip)
     else
       _ ->
-        raise Error.new(:usage, "not a node's name: #{name}",
+        raise Error.new(:usage, "invalid node name: #{name}",
                 fix: "write it like situ-9301@10.0.0.1"
               )
     end
@@ -237,7 +244,9 @@ defmodule Situ.CLI.Cluster do
         Node.set_cookie(cookie)
 
       {:error, reason} ->
-        raise Error.new(:no_distribution, "#{name} does not start: #{inspect(reason, limit: 20)}",
+        raise Error.new(
+                :no_distribution,
+                "cannot start node #{name}: #{inspect(reason, limit: 20)}",
                 fix: "check that its port is free"
               )
     end

@@ -1,19 +1,19 @@
 defmodule Situ.CLI.ClusterDeployment do
   @moduledoc false
-  # The verbs of `situ cluster` for what runs on a cluster: deploy a pipeline, stop it, move its parts.
+  # The verbs of `situ cluster` for deployments: deploy a pipeline, stop it, move its parts.
   alias Situ.{Cluster, Error}
   alias Situ.CLI.{ClusterNode, Option, Output, Setting, Verb}
 
-  @deployment [kind: :text, doc: "what was deployed"]
+  @deployment [kind: :text, doc: "the deployment's name"]
 
-  @doc "`ask` calls a function on a node of the cluster."
+  @doc "Returns the verbs; `ask` calls a function on a node of the cluster."
   @spec verbs([Option.t()], ClusterNode.ask()) :: [Verb.t()]
   def verbs(common, ask) do
     [
       %Verb{
         words: ["cluster", "deploy"],
-        summary: "run a pipeline over the cluster",
-        arguments: [module: [kind: :text, doc: "the pipeline, a module that the nodes have"]],
+        summary: "run a pipeline on the cluster",
+        arguments: [module: [kind: :text, doc: "the pipeline: a module that exists on the nodes"]],
         options: deploy_options() ++ common,
         examples: [
           "situ cluster deploy My.Hall --place Lips=compute,deterministic --node situ-9301@127.0.0.1",
@@ -23,17 +23,19 @@ defmodule Situ.CLI.ClusterDeployment do
       },
       %Verb{
         words: ["cluster", "stop"],
-        summary: "end a deployment: its sources close, and what is under way goes through",
+        summary:
+          "end a deployment: its sources close, and messages in flight are still processed",
         arguments: [deployment: @deployment],
         options: [
-          Option.new(:forget, :flag, "take it away at once, on all nodes; its log stays") | common
+          Option.new(:forget, :flag, "remove it from all nodes immediately; its log is kept")
+          | common
         ],
         examples: ["situ cluster stop Hall --node situ-9301@127.0.0.1"],
         run: fn %{deployment: name}, opts -> stop(name, opts, ask) end
       },
       %Verb{
         words: ["cluster", "move"],
-        summary: "move a part to another node, without losing a message",
+        summary: "move a part to another node without losing messages",
         arguments: [
           deployment: @deployment,
           part: [kind: :text, doc: "the part"],
@@ -55,11 +57,16 @@ defmodule Situ.CLI.ClusterDeployment do
   end
 
   defp deploy_options do
-    rule = "where a part runs: Path=LABEL or Path=near:DEVICE; then ,deterministic or ,only"
+    rule =
+      "where a part runs: Path=LABEL or Path=near:DEVICE, followed by ,deterministic or ,only if needed"
 
     [
-      Option.new(:name, :string, "the deployment's name (default: the module's last name)"),
-      Option.new(:set, :string, "an option of the pipeline's build/2; VALUE is JSON, or text",
+      Option.new(
+        :name,
+        :string,
+        "the deployment's name (default: the last part of the module's name)"
+      ),
+      Option.new(:set, :string, "an option of the pipeline's build/2; VALUE is JSON or text",
         value: "NAME=VALUE",
         many?: true
       ),
@@ -68,23 +75,27 @@ defmodule Situ.CLI.ClusterDeployment do
         value: "STREAM",
         many?: true
       ),
-      Option.new(:publish, :string, "a stream kept in the log for readers outside",
+      Option.new(:publish, :string, "a stream kept in the log for external readers",
         value: "STREAM",
         many?: true
       ),
       Option.new(:retain, :span, "how much of each stream the log keeps (default: all)"),
-      Option.new(:checkpoint, :span, "between checkpoints", default: 1_000_000_000),
-      Option.new(:lease, :span, "without a sign of life of a node: another takes its parts over",
+      Option.new(:checkpoint, :span, "the interval between checkpoints", default: 1_000_000_000),
+      Option.new(
+        :lease,
+        :span,
+        "how long a node may be silent before another takes over its parts",
         default: 1_000_000_000
       ),
-      Option.new(:balance, :span, "how often to look whether a part should move")
+      Option.new(:balance, :span, "how often to check whether a part should move")
     ]
   end
 
   defp deploy(module, opts, ask) do
     module = Module.concat([module])
     taken = Keyword.take(opts, [:name, :retain, :checkpoint, :lease, :balance, :direct, :publish])
-    # A pipeline's options are few, and whoever deploys may run code there anyway.
+
+    # Atoms from user input are safe here: there are few options, and a user who can deploy can run any code anyway.
     build = for {name, value} <- Setting.read(opts[:set]), do: {String.to_atom(name), value}
 
     settings =
@@ -92,7 +103,7 @@ defmodule Situ.CLI.ClusterDeployment do
         [place: Enum.map(opts[:place], &rule/1), opts: build]
 
     deployment = Error.unwrap!(ask.(opts, Cluster, :deploy, [module, settings]))
-    Output.puts("#{deployment.name} runs; `situ cluster status` says where")
+    Output.puts("#{deployment.name} is running; see `situ cluster status` for its nodes")
     0
   end
 
@@ -104,7 +115,7 @@ defmodule Situ.CLI.ClusterDeployment do
       {path, [on: on(on)] ++ Enum.map(more, &{String.to_existing_atom(&1), true})}
     else
       _ ->
-        raise Error.new(:usage, "not a rule: #{text}",
+        raise Error.new(:usage, "invalid placement rule: #{text}",
                 fix: "write Path=LABEL or Path=LABEL,deterministic"
               )
     end
@@ -118,10 +129,10 @@ defmodule Situ.CLI.ClusterDeployment do
 
     if opts[:forget] do
       Error.unwrap!(ask.(opts, Cluster, :forget, [deployment]))
-      Output.puts("#{name} is taken away; its log stays (see `situ cluster prune`)")
+      Output.puts("#{name} was removed; its log is kept (see `situ cluster prune`)")
     else
       :ok = ask.(opts, Cluster, :stop, [deployment])
-      Output.puts("#{name} ends; `situ cluster status` says when all its parts are done")
+      Output.puts("#{name} is ending; `situ cluster status` shows when all its parts are done")
     end
 
     0
@@ -130,17 +141,17 @@ defmodule Situ.CLI.ClusterDeployment do
   defp move(%{deployment: name, part: part, to: to}, opts, ask) do
     to_node = String.to_atom(to)
     Error.unwrap!(ask.(opts, Cluster, :move, [find(name, opts, ask), part, to_node]))
-    Output.puts("#{name}/#{part} runs on #{to}")
+    Output.puts("#{name}/#{part} is now running on #{to}")
     0
   end
 
   defp drain(%{deployment: name, from: from}, opts, ask) do
     ask.(opts, Cluster, :drain, [find(name, opts, ask), String.to_atom(from)])
-    Output.puts("#{from} gives up the parts of #{name}")
+    Output.puts("#{from} is handing over the parts of #{name}")
     0
   end
 
-  @doc "The deployment of a name, or an error that says which there are."
+  @doc "Returns the deployment with this name, or raises an error that lists the existing deployments."
   @spec find(String.t(), keyword(), ClusterNode.ask()) :: Cluster.t()
   def find(name, opts, ask) do
     known = ask.(opts, Cluster.Agent, :info, []).deployments
@@ -148,9 +159,9 @@ defmodule Situ.CLI.ClusterDeployment do
     fix =
       if known == [],
         do: "nothing is deployed: see `situ cluster deploy`",
-        else: "there are: " <> Enum.map_join(known, ", ", & &1.name)
+        else: "deployments: " <> Enum.map_join(known, ", ", & &1.name)
 
     Enum.find(known, &(&1.name == name)) ||
-      raise Error.new(:not_found, "there is no deployment #{inspect(name)}", fix: fix)
+      raise Error.new(:not_found, "unknown deployment #{inspect(name)}", fix: fix)
   end
 end

@@ -1,6 +1,6 @@
 defmodule Situ.CLI.ClusterKept do
   @moduledoc false
-  # The verbs of `situ cluster` for what the log keeps of deployments: a list, and taking away what is over.
+  # The verbs of `situ cluster` for the logs of deployments: list all logs, and delete the logs of ended deployments.
   alias Situ.{Cluster, Error}
   alias Situ.CLI.{ClusterLog, ClusterNode, Option, Output, Verb}
   alias Situ.Cluster.Past
@@ -9,12 +9,12 @@ defmodule Situ.CLI.ClusterKept do
   @log Option.new(
          :log,
          :string,
-         "the log itself, where no node runs: a folder, or nats://host:4222",
+         "read the log directly when no node is running: a folder, or nats://host:4222",
          value: "ADDRESS"
        )
   @watched_ms 1_500
 
-  @doc "`ask` calls a function on a node of the cluster, `folder` names the cluster's identity."
+  @doc "Returns the verbs; `ask` calls a function on a node of the cluster, `folder` returns the identity's folder."
   @spec verbs([Option.t()], ClusterNode.ask(), (keyword() -> Path.t())) :: [Verb.t()]
   def verbs(common, ask, folder) do
     common = common ++ ClusterLog.options()
@@ -22,9 +22,9 @@ defmodule Situ.CLI.ClusterKept do
     [
       %Verb{
         words: ["cluster", "kept"],
-        summary: "list what the log keeps of each deployment, running and ended ones",
+        summary: "list the logs of all deployments, running and ended",
         about:
-          "A log in NATS costs its server two open files for each stream; `situ cluster prune` frees them.",
+          "With a log in NATS, each stream costs the server two open files; `situ cluster prune` frees them.",
         options: [@log | common],
         examples: [
           "situ cluster kept --node situ-9301@127.0.0.1",
@@ -34,17 +34,21 @@ defmodule Situ.CLI.ClusterKept do
       },
       %Verb{
         words: ["cluster", "prune"],
-        summary: "delete for good what the log keeps of deployments that have ended",
+        summary: "permanently delete the logs of deployments that have ended",
         about: """
-        Names deployments, or all that were not written to for a while (--older-than). Nothing is deleted of one that
-        runs, here or on another cluster with the same log: with --log its leases tell. --dry-run says what would be
-        deleted.
+        Give the names of deployments, or --older-than for all that were not written to for a while. The log of a
+        running deployment is never deleted, even if it is running on another cluster with the same log (with --log,
+        its leases show that). --dry-run prints the deployments whose logs would be deleted.
         """,
         arguments: [
-          deployments: [kind: :text, many: true, optional: true, doc: "what was deployed"]
+          deployments: [kind: :text, many: true, optional: true, doc: "names of deployments"]
         ],
         options: [
-          Option.new(:older_than, :span, "all that were last written to so long ago"),
+          Option.new(
+            :older_than,
+            :span,
+            "all deployments whose last write was at least this long ago"
+          ),
           Option.new(:dry_run, :flag, "delete nothing"),
           @log
           | common
@@ -59,7 +63,7 @@ defmodule Situ.CLI.ClusterKept do
     ]
   end
 
-  # Who is asked: what is kept, the names of those that nodes know, and taking one away.
+  # Returns functions that list the logs, return the names of running deployments (nil if unknown), and delete a log.
   defp keeper(opts, ask, folder) do
     if opts[:log], do: by_log(opts[:log], opts, folder.(opts)), else: by_node(opts, ask)
   end
@@ -84,13 +88,13 @@ defmodule Situ.CLI.ClusterKept do
     }
   end
 
-  # Whoever looks makes no log.
+  # Listing must not create a log folder.
   defp existing(folder) do
     if File.dir?(folder),
       do: folder,
       else:
         raise(
-          Error.new(:no_log, "there is no log #{folder}",
+          Error.new(:no_log, "the log folder #{folder} does not exist",
             fix: "name the folder given to `situ cluster join`"
           )
         )
@@ -104,7 +108,7 @@ defmodule Situ.CLI.ClusterKept do
       do: Output.json(Enum.map(kept, &row(&1, known))),
       else: Enum.each(kept, &print(&1, known))
 
-    if kept == [] and not opts[:json], do: Output.puts("the log keeps nothing")
+    if kept == [] and not opts[:json], do: Output.puts("the log is empty")
     0
   end
 
@@ -129,14 +133,14 @@ defmodule Situ.CLI.ClusterKept do
 
   defp prune(names, opts, keeper) do
     if names == [] and opts[:older_than] == nil do
-      raise Error.new(:usage, "which deployments?",
+      raise Error.new(:usage, "no deployment given",
               fix: "name them (see `situ cluster kept`), or give --older-than 24h"
             )
     end
 
     found = if opts[:older_than], do: old(opts, keeper), else: []
     results = for name <- Enum.uniq(names ++ found), do: pruned(name, name in names, opts, keeper)
-    if results == [], do: Output.puts("nothing is that old")
+    if results == [], do: Output.puts("no deployment is that old")
     Enum.max(results, fn -> 0 end)
   end
 
@@ -162,7 +166,7 @@ defmodule Situ.CLI.ClusterKept do
     0
   end
 
-  # One that runs was not asked for by name: then it is no mistake.
+  # A running deployment that the user did not name, but --older-than selected, is not an error.
   defp told({:error, %{code: :in_use} = error}, _name, false) do
     Output.warn(Exception.message(error))
     0

@@ -1,6 +1,6 @@
 defmodule Situ.CLI.ClusterNode do
   @moduledoc false
-  # The verbs of `situ cluster` that look after nodes: their logs, their code, their load; and the studio of a node.
+  # The verbs of `situ cluster` for nodes: their logs, code and load, and the studio of a node.
   alias Situ.{Cluster, Diagnostics, Error}
   alias Situ.CLI.{ClusterDeployment, ClusterKept, Option, Output, Verb}
 
@@ -8,19 +8,19 @@ defmodule Situ.CLI.ClusterNode do
 
   @type ask :: (keyword(), module(), atom(), list() -> term())
 
-  @doc "`ask` calls a function on a node of the cluster, `folder` names the cluster's identity."
+  @doc "Returns the verbs; `ask` calls a function on a node of the cluster, `folder` returns the identity's folder."
   @spec verbs([Option.t()], ask(), (keyword() -> Path.t())) :: [Verb.t()]
   def verbs(common, ask, folder) do
     [
       %Verb{
         words: ["cluster", "logs"],
-        summary: "show what the nodes have logged lately",
+        summary: "show the latest log lines of the nodes",
         about:
-          "Each node keeps its last 2,000 lines. Without --of: those of all nodes, in the order of time.",
+          "Each node keeps its last 2,000 lines. Without --of, the lines of all nodes are shown in order of time.",
         options: [
-          Option.new(:of, :string, "this node's alone", value: "NODE", many?: true),
-          Option.new(:number, :integer, "so many lines of each node", short: :n, default: 50),
-          Option.new(:follow, :flag, "go on with what comes (until Ctrl-C)", short: :f)
+          Option.new(:of, :string, "only this node", value: "NODE", many?: true),
+          Option.new(:number, :integer, "this many lines of each node", short: :n, default: 50),
+          Option.new(:follow, :flag, "continue with new lines (until Ctrl-C)", short: :f)
           | common
         ],
         examples: ["situ cluster logs --node situ-9301@127.0.0.1 --follow"],
@@ -29,17 +29,18 @@ defmodule Situ.CLI.ClusterNode do
       %Verb{
         words: ["cluster", "info"],
         summary: "show a deployment as one pipeline: components, edges, rates, queues",
-        arguments: [deployment: [kind: :text, doc: "what was deployed"]],
+        arguments: [deployment: [kind: :text, doc: "the deployment's name"]],
         options: common,
         examples: ["situ cluster info Hall --node situ-9301@127.0.0.1"],
         run: fn %{deployment: name}, opts -> info(name, opts, ask) end
       },
       %Verb{
         words: ["cluster", "upgrade"],
-        summary: "give all nodes new code while their parts run",
+        summary: "load new code on all nodes while their parts are running",
         about: """
-        FILE is a compiled module (.beam), or Elixir source (.ex, .exs) whose modules are compiled here. Node after node
-        loads them and starts its parts again, each from a checkpoint. If one cannot, all keep the code they had.
+        FILE is a compiled module (.beam), or Elixir source (.ex, .exs) whose modules are compiled here. The nodes load
+        them one after another and restart their parts, each from a checkpoint. If a node fails, all nodes keep their
+        previous code.
         """,
         arguments: [files: [kind: :file, many: true, doc: "compiled modules or Elixir source"]],
         options: common,
@@ -49,7 +50,7 @@ defmodule Situ.CLI.ClusterNode do
       %Verb{
         words: ["cluster", "balance"],
         summary: "move a part of a deployment to a less busy node, if that helps",
-        arguments: [deployment: [kind: :text, doc: "what was deployed"]],
+        arguments: [deployment: [kind: :text, doc: "the deployment's name"]],
         options: common,
         examples: ["situ cluster balance Hall --node situ-9301@127.0.0.1"],
         run: fn %{deployment: name}, opts -> balance(name, opts, ask) end
@@ -87,12 +88,12 @@ defmodule Situ.CLI.ClusterNode do
 
   defp named(name, known) do
     Enum.find(known, &(Atom.to_string(&1) == name)) ||
-      raise Error.new(:not_found, "#{name} is no node of the cluster",
-              fix: "there are: " <> Enum.join(known, ", ")
+      raise Error.new(:not_found, "#{name} is not a node of the cluster",
+              fix: "nodes: " <> Enum.join(known, ", ")
             )
   end
 
-  # A lost node is reported once, and asked again.
+  # An unreachable node is reported once and polled again later.
   defp read(node, from, most, opts, ask) do
     case ask.(opts, Cluster, :logs, [node, from, most]) do
       {:ok, lines} ->
@@ -134,7 +135,7 @@ defmodule Situ.CLI.ClusterNode do
     code = Enum.flat_map(files, &code/1)
     nodes = Error.unwrap!(ask.(opts, Cluster, :upgrade, [code]))
     names = Enum.map_join(code, ", ", fn {module, _} -> inspect(module) end)
-    Output.puts("#{names}: new on #{Enum.join(nodes, ", ")}")
+    Output.puts("#{names}: loaded on #{Enum.join(nodes, ", ")}")
     0
   end
 
@@ -150,20 +151,21 @@ defmodule Situ.CLI.ClusterNode do
          {:ok, {module, _}} <- :beam_lib.chunks(bytes, []) do
       {module, bytes}
     else
-      _ -> raise Error.new(:bad_code, "#{file} is no compiled module", fix: "name a .beam file")
+      _ ->
+        raise Error.new(:bad_code, "#{file} is not a compiled module", fix: "name a .beam file")
     end
   end
 
   defp balance(name, opts, ask) do
     case Error.unwrap!(ask.(opts, Cluster, :balance, [ClusterDeployment.find(name, opts, ask)])) do
-      nil -> Output.puts("no part of #{name} should move")
-      {part, to} -> Output.puts("#{name}/#{part} runs on #{to} now, which is less busy")
+      nil -> Output.puts("no part of #{name} needs to move")
+      {part, to} -> Output.puts("#{name}/#{part} is now running on #{to}, which is less busy")
     end
 
     0
   end
 
-  @doc "A studio in this node, with the pipelines and recordings of all: its address."
+  @doc "Starts a studio on this node, with the pipelines and recordings of all nodes, and returns its URL."
   @spec studio(:inet.port_number(), Path.t() | nil) :: String.t()
   def studio(port, path) do
     {:ok, _} = Application.ensure_all_started(:situ_studio)

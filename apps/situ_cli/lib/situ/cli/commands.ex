@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Commands do
   @moduledoc false
-  # Every verb, in the order `situ --help` shows them, and how one is found.
+  # All verbs, in the order in which `situ --help` shows them, and the lookup of a verb.
   alias Situ.CLI.{
     Annotate,
     Cluster,
@@ -40,15 +40,15 @@ defmodule Situ.CLI.Commands do
   ]
 
   @groups %{
-    "store" => "look at recordings, check, repair, cut, copy, edit them",
+    "store" => "inspect, check, repair, cut, copy and edit recordings",
     "dataset" => "group recordings into sessions, list them, run pipelines over them",
     "task" => "list and run batch tasks over the sessions of a dataset",
-    "plugin" => "make, list and test plug-ins: visualizers, adapters, readers, tasks",
-    "cluster" => "nodes that run pipelines together: make, join, look, deploy, move",
+    "plugin" => "create, list and test plug-ins: visualizers, adapters, readers, tasks",
+    "cluster" => "run pipelines on several nodes: create, join, inspect, deploy, move",
     "annotate" => "exchange annotations with other programs, compare annotators"
   }
 
-  # The verbs of one command stand together, whatever module they are in.
+  # Verbs of the same command are adjacent, even if different modules define them.
   @spec all() :: [Verb.t()]
   def all do
     verbs = Enum.flat_map(@modules, & &1.verbs())
@@ -59,7 +59,7 @@ defmodule Situ.CLI.Commands do
   @spec groups() :: %{String.t() => String.t()}
   def groups, do: @groups
 
-  @doc "The verb that a command line begins with, and the rest of it."
+  @doc "Returns the verb that a command line begins with, and the remaining words."
   @spec find([String.t()]) ::
           {:ok, Verb.t(), [String.t()]}
           | {:group, String.t(), [Verb.t()]}
@@ -93,7 +93,7 @@ defmodule Situ.CLI.Commands do
         near -> "did you mean `situ #{near}`? `situ --help` lists the commands"
       end
 
-    Situ.Error.new(:unknown_command, "there is no command #{inspect(word)}", fix: fix)
+    Situ.Error.new(:unknown_command, "unknown command #{inspect(word)}", fix: fix)
   end
 
   defp no_verb(first, word, group) do
@@ -105,6 +105,6 @@ defmodule Situ.CLI.Commands do
         near -> "did you mean `situ #{first} #{near}`? See `situ #{first} --help`"
       end
 
-    Situ.Error.new(:unknown_verb, "situ #{first}: there is no verb #{inspect(word)}", fix: fix)
+    Situ.Error.new(:unknown_verb, "situ #{first}: unknown verb #{inspect(word)}", fix: fix)
   end
 end

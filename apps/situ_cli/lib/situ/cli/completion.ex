@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Completion do
   @moduledoc false
-  # The shell's part in completing `situ ...`, out of the verbs' tables: words and options are in the script itself,
-  # so that completing starts no program.
+  # Generates the shells' completion scripts from the verbs' tables. Words and options are written into the script, so
+  # that completion does not start a program.
   alias Situ.CLI.{Option, Verb}
 
   @shells ["bash", "zsh", "fish"]

@@ -1,12 +1,12 @@
 defmodule Situ.CLI.Data do
   @moduledoc false
-  # The contents of messages and metadata, for people and for programs.
+  # Formats the contents of messages and metadata for people and for programs.
 
-  @doc "In one line, long things cut short."
+  @doc "Formats `data` on one line and truncates long values."
   @spec text(term()) :: String.t()
   def text(data), do: inspect(data, limit: 20, printable_limit: 200)
 
-  @doc "`data` where JSON can say it, else `text`."
+  @doc "Returns `data` if JSON can represent it, else its `text`."
   @spec json(term()) :: %{data: term()} | %{text: String.t()}
   def json(data) do
     case plain(data) do
@@ -15,14 +15,14 @@ defmodule Situ.CLI.Data do
     end
   end
 
-  # Tuples become lists and atoms text, as everywhere else.
+  # Tuples become lists and atoms become strings, as everywhere else.
   defp plain(data) when is_number(data) or is_atom(data), do: {:ok, data}
 
   defp plain(data) when is_binary(data),
     do: if(String.valid?(data), do: {:ok, data}, else: :error)
 
   defp plain(data) when is_tuple(data), do: data |> Tuple.to_list() |> plain()
-  # The pixels of a picture are no text, whatever bytes they are.
+  # The pixels of an image are never text, even if their bytes happen to be printable.
   defp plain(%_{} = struct) do
     struct
     |> Map.from_struct()

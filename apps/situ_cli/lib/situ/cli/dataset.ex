@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Dataset do
-  @moduledoc "The verbs of `situ dataset`: sessions of recordings in one file."
+  @moduledoc "The verbs of `situ dataset`: sessions of recordings in one dataset file."
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Recording, Setting, Verb}
   alias Situ.CLI.Dataset.Listing
@@ -9,7 +9,7 @@ defmodule Situ.CLI.Dataset do
   @file_argument [kind: :file, doc: "a dataset file"]
   @any [
     kind: :recording,
-    doc: "a dataset file, a .pds of \\psi, a folder of recordings, or a recording"
+    doc: "a dataset file, a \\psi dataset (.pds), a folder of recordings, or a recording"
   ]
 
   @impl true
@@ -19,14 +19,14 @@ defmodule Situ.CLI.Dataset do
         words: ["dataset", "info"],
         aliases: ["list", "ls"],
         summary:
-          "list the sessions of a dataset: partitions, spans, sizes, and what is missing or damaged",
+          "list the sessions of a dataset: partitions, spans, sizes, and missing or damaged recordings",
         arguments: [
           path: @any,
           session: [kind: :text, optional: true, doc: "one session, with its streams"]
         ],
         options: [
           Option.new(:tag, :string, "only sessions with this tag", many?: true),
-          Option.new(:name, :string, "only sessions whose name fits this pattern",
+          Option.new(:name, :string, "only sessions whose name matches this pattern",
             value: "PATTERN"
           )
         ],
@@ -35,7 +35,7 @@ defmodule Situ.CLI.Dataset do
       },
       %Verb{
         words: ["dataset", "create"],
-        summary: "make a dataset file, of a folder of recordings or empty",
+        summary: "create a dataset file, empty or from a folder of recordings",
         about:
           "Each folder in FOLDER becomes a session, each recording in it a partition. Paths in the file are relative.",
         arguments: [
@@ -43,15 +43,15 @@ defmodule Situ.CLI.Dataset do
           folder: [kind: :folder, optional: true, doc: "a folder of recordings, or a .pds"]
         ],
         options: [
-          Option.new(:name, :string, "the dataset's name (default: the file's)"),
-          Option.new(:force, :flag, "replace a file that is there", short: :f)
+          Option.new(:name, :string, "the dataset's name (default: the file's name)"),
+          Option.new(:force, :flag, "replace an existing file", short: :f)
         ],
         examples: ["situ dataset create study/study.json study"],
         run: &create/2
       },
       %Verb{
         words: ["dataset", "add"],
-        summary: "add recordings to a session; the session is made if it is not there",
+        summary: "add recordings to a session, which is created if it does not exist",
         arguments: [
           file: @file_argument,
           session: [kind: :text, doc: "the session's name"],
@@ -62,8 +62,10 @@ defmodule Situ.CLI.Dataset do
           ]
         ],
         options: [
-          Option.new(:partition, :string, "the partition's name, of one recording", value: "NAME"),
-          Option.new(:tag, :string, "a tag of the session", many?: true),
+          Option.new(:partition, :string, "the partition's name, for a single recording",
+            value: "NAME"
+          ),
+          Option.new(:tag, :string, "a tag for the session", many?: true),
           Option.new(:set, :string, "metadata of the session", value: "NAME=VALUE", many?: true)
         ],
         examples: ["situ dataset add study.json p11 recordings/p11/* --tag pilot --set age=31"],
@@ -74,23 +76,23 @@ defmodule Situ.CLI.Dataset do
         summary: "set tags and metadata of a session, or of the dataset",
         arguments: [
           file: @file_argument,
-          session: [kind: :text, optional: true, doc: "a session; without it the dataset"]
+          session: [kind: :text, optional: true, doc: "a session (default: the dataset itself)"]
         ],
         options: [
           Option.new(:tag, :string, "add this tag", many?: true),
-          Option.new(:untag, :string, "take this tag away", many?: true),
-          Option.new(:set, :string, "metadata; VALUE is JSON, or text",
+          Option.new(:untag, :string, "remove this tag", many?: true),
+          Option.new(:set, :string, "metadata; VALUE is JSON or text",
             value: "NAME=VALUE",
             many?: true
           ),
-          Option.new(:unset, :string, "take this metadata away", value: "KEY", many?: true)
+          Option.new(:unset, :string, "remove this metadata", value: "KEY", many?: true)
         ],
         examples: ["situ dataset set study.json p03 --set 'notes=came late' --tag left-handed"],
         run: &set/2
       },
       %Verb{
         words: ["dataset", "rename"],
-        summary: "give a session, or a partition (SESSION/PARTITION), another name",
+        summary: "rename a session or a partition (SESSION/PARTITION)",
         arguments: [
           file: @file_argument,
           name: [kind: :text, doc: "SESSION or SESSION/PARTITION"],
@@ -102,7 +104,7 @@ defmodule Situ.CLI.Dataset do
       %Verb{
         words: ["dataset", "remove"],
         summary:
-          "take a session, or a partition (SESSION/PARTITION), out; recordings stay where they are",
+          "remove a session or a partition (SESSION/PARTITION) from the file; recordings are not deleted",
         arguments: [
           file: @file_argument,
           name: [kind: :text, many: true, doc: "SESSION or SESSION/PARTITION"]
@@ -119,21 +121,21 @@ defmodule Situ.CLI.Dataset do
       },
       %Verb{
         words: ["dataset", "seal"],
-        summary: "note a checksum of every recording, so that verify notices later changes",
+        summary: "store a checksum of every recording, so that verify can detect later changes",
         arguments: [file: @file_argument],
         run: &seal/2
       },
       %Verb{
         words: ["dataset", "verify"],
         summary:
-          "check that every recording is there, whole and (if sealed) unchanged; status 1 when not",
+          "check that every recording exists, is intact and (if sealed) unchanged; status 1 if not",
         arguments: [path: @any],
         run: &verify/2
       }
     ]
   end
 
-  @doc "Opens a dataset, or whatever can be taken for one; the readers of all kinds of recordings are started."
+  @doc "Opens a dataset, or any recordings that can be treated as one, after starting the readers of all formats."
   @spec open!(Path.t()) :: Dataset.t()
   def open!(path) do
     Recording.ready([path])
@@ -141,7 +143,7 @@ defmodule Situ.CLI.Dataset do
     ok!(Dataset.open(path))
   end
 
-  # Others may edit the file at the same time: each edit is made of what is in it then.
+  # Other programs may edit the file concurrently, so each edit starts from its current contents.
   defp edit(file, opts, fun) do
     saved =
       case open!(file) do
@@ -164,8 +166,8 @@ defmodule Situ.CLI.Dataset do
 
   defp create(%{file: file, folder: folder}, opts) do
     if File.exists?(file) and not opts[:force] do
-      raise Situ.Error.new(:file_exists, "#{file} is there already",
-              fix: "choose another name, or --force"
+      raise Situ.Error.new(:file_exists, "#{file} already exists",
+              fix: "choose another name, or give --force"
             )
     end
 
@@ -185,7 +187,7 @@ defmodule Situ.CLI.Dataset do
     paths = Recording.expand(paths)
 
     if opts[:partition] && length(paths) > 1,
-      do: throw({:usage, "--partition names one recording, not #{length(paths)}"})
+      do: throw({:usage, "--partition needs exactly one recording, not #{length(paths)}"})
 
     partitions = Enum.map(paths, &partition!(opts[:partition], &1))
 
@@ -203,7 +205,7 @@ defmodule Situ.CLI.Dataset do
     end)
   end
 
-  # A path that cannot be opened now is most likely a mistake.
+  # A path that cannot be opened now is most likely a typing error.
   defp partition!(name, path) do
     Recording.ready([path])
     partition = Partition.new(name, path)
@@ -261,7 +263,7 @@ defmodule Situ.CLI.Dataset do
     end)
   end
 
-  # A session may have a slash in its name.
+  # The name of a session may contain a slash.
   defp place(dataset, name) do
     with {:error, _} <- Dataset.session(dataset, name),
          [session, partition] <- String.split(name, "/", parts: 2) do
@@ -276,7 +278,7 @@ defmodule Situ.CLI.Dataset do
     edit(file, opts, &Dataset.append(&1, other))
   end
 
-  # Checksums take long; meanwhile others may edit the dataset.
+  # Checksums take a long time, so they are computed before the file is opened for editing.
   defp seal(%{file: file}, opts) do
     partitions = file |> open!() |> Dataset.partitions()
 
@@ -310,7 +312,7 @@ defmodule Situ.CLI.Dataset do
       )
     else
       for {s, p, e} <- wrong, do: Output.puts("#{s}/#{p}: #{Exception.message(e)}")
-      if wrong == [], do: Output.puts("#{Output.number(total, "recording")}, all sound")
+      if wrong == [], do: Output.puts("#{Output.number(total, "recording")}, all intact")
     end
 
     if wrong == [], do: 0, else: 1

@@ -1,12 +1,11 @@
 defmodule Situ.CLI.Desktop do
   @moduledoc false
-  # The person's desktop, where there is one.
+  # Opens pages on the user's desktop, if there is one.
 
   @read_ms 60_000
 
   @doc """
-  Opens `url` in the desktop's browser. Where there is no desktop nothing happens: the address has been printed, and
-  is all there is.
+  Opens `url` in the desktop's browser. Without a desktop it does nothing, because the address was already printed.
   """
   @spec open(String.t()) :: :ok
   def open(url) do
@@ -20,7 +19,7 @@ defmodule Situ.CLI.Desktop do
     Situ.Scratch.with_folder("open", fn folder ->
       System.cmd(opener, [argument(url, folder)], stderr_to_stdout: true)
 
-      # The browser has begun, and may not have read the page yet.
+      # The browser has started, but may not have read the page yet.
       receive do
       after
         @read_ms -> :ok
@@ -29,8 +28,8 @@ defmodule Situ.CLI.Desktop do
   end
 
   @doc """
-  Returns the opener's argument for `url`. An address with a token goes by a page in `folder` that leads there, which
-  only this user can read: on a command line every user of the machine could read it.
+  Returns the opener's argument for `url`. On a command line, every user of the machine could read a token in the URL.
+  For such a URL the argument is therefore a page in `folder` that redirects to it, and that only this user can read.
   """
   @spec argument(String.t(), Path.t()) :: String.t()
   def argument(url, folder) do

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Devices do
-  @moduledoc "`situ devices`: the cameras, microphones, speakers and depth cameras there are."
+  @moduledoc "`situ devices`: lists the cameras, microphones, speakers and depth cameras of this machine."
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Verb}
@@ -20,19 +20,20 @@ defmodule Situ.CLI.Devices do
         words: ["devices"],
         summary: "list cameras, microphones, speakers and depth cameras",
         about: """
-        Lists what Situ.Media.Camera, Microphone and Speaker can open on this machine: V4L2 cameras, and the sound
-        devices of PulseAudio (PipeWire) and ALSA. The first column is what the option `device:` takes; * marks the
-        default. Without any hardware, "simulated:FILE" replays a file as a camera and a microphone. Depth cameras of
-        OpenNI 2 and libfreenect, for Situ.Space.DepthCamera.Library, are listed where `bin/setup --with depth` has run.
+        Lists the devices that Situ.Media.Camera, Microphone and Speaker can open on this machine: V4L2 cameras, and
+        the audio devices of PulseAudio (PipeWire) and ALSA. The first column is the value for the option `device:`;
+        * marks the default. Without any hardware, "simulated:FILE" replays a file as a camera and a microphone. Depth
+        cameras of OpenNI 2 and libfreenect, for Situ.Space.DepthCamera.Library, are listed after
+        `bin/setup --with depth`.
         """,
         arguments: [
           kind: [
             kind: :text,
             optional: true,
-            doc: "cameras, microphones, speakers or depth; all without it"
+            doc: "cameras, microphones, speakers or depth (default: all)"
           ]
         ],
-        options: [Option.new(:modes, :flag, "also the sizes and rates of each camera")],
+        options: [Option.new(:modes, :flag, "also list the sizes and rates of each camera")],
         examples: ["situ devices cameras --modes"],
         run: &run/2
       }
@@ -46,7 +47,7 @@ defmodule Situ.CLI.Devices do
     do:
       throw(
         {:usage,
-         "devices: unknown kind #{inspect(kind)}; there are cameras, microphones, speakers, depth"}
+         "devices: unknown kind #{inspect(kind)}; use cameras, microphones, speakers or depth"}
       )
 
   defp of(:depth_camera), do: DepthCamera.Library.list()

@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Help do
   @moduledoc false
-  # The texts of `--help`, out of the verbs' tables.
+  # Formats the texts of `--help` from the verbs' tables.
   alias Situ.CLI.{Option, Verb}
 
   @width 100
@@ -14,21 +14,21 @@ defmodule Situ.CLI.Help do
       |> Enum.map(fn {word, verb} -> {word, Map.get(groups, word, verb.summary)} end)
 
     """
-    Situ records, replays and shows streams of what was seen and heard.
+    Situ records, replays and shows timestamped streams.
 
     Usage: situ COMMAND [VERB] [ARGUMENTS] [OPTIONS]
 
     #{table(lines)}
 
       --version   print the version
-      --help      this text; `situ COMMAND --help` explains one command
+      --help      print this text; `situ COMMAND --help` explains one command
 
-    Exit status: 0 done, 1 failed (or damage or differences found), 2 wrong usage;
+    Exit status: 0 success, 1 failure (or damage or differences found), 2 wrong usage;
     130 stopped by Ctrl-C; 141 the reader of a pipe closed it.
     """
   end
 
-  @doc "The verbs of one group."
+  @doc "Formats the help of a group of verbs."
   @spec group(String.t(), String.t(), [Verb.t()]) :: String.t()
   def group(word, summary, verbs) do
     lines =
@@ -44,11 +44,11 @@ defmodule Situ.CLI.Help do
 
     #{table(lines)}
 
-    `situ #{word} VERB --help` explains one verb. --json, --quiet and --help go with each.
+    `situ #{word} VERB --help` explains one verb. All verbs accept --json, --quiet and --help.
     """
   end
 
-  @doc "One verb."
+  @doc "Formats the help of one verb."
   @spec verb(Verb.t()) :: String.t()
   def verb(%Verb{} = verb) do
     [
@@ -57,8 +57,8 @@ defmodule Situ.CLI.Help do
       if(verb.about != "", do: String.trim(verb.about)),
       arguments(verb),
       table(for option <- Verb.options(verb), do: {Option.label(option), described(option)}),
-      if(verb.aliases != [], do: "Also called: #{Enum.join(verb.aliases, ", ")}."),
-      "Exit status: 0 done, 1 failed, 2 wrong usage; 130 stopped by Ctrl-C; 141 the reader of a pipe closed it.",
+      if(verb.aliases != [], do: "Aliases: #{Enum.join(verb.aliases, ", ")}."),
+      "Exit status: 0 success, 1 failure, 2 wrong usage; 130 stopped by Ctrl-C; 141 the reader of a pipe closed it.",
       examples(verb.examples)
     ]
     |> Enum.reject(&(&1 in [nil, ""]))
@@ -72,7 +72,7 @@ defmodule Situ.CLI.Help do
     table(for {name, spec} <- verb.arguments, do: {Verb.argument(name, spec), spec[:doc]})
   end
 
-  @doc "The description of an option, with its default."
+  @doc "Returns the description of an option, with its default."
   @spec described(Option.t()) :: String.t()
   def described(option) do
     default =
@@ -111,7 +111,7 @@ defmodule Situ.CLI.Help do
     end)
   end
 
-  @doc "Text in lines of at most `width` characters."
+  @doc "Splits text into lines of at most `width` characters."
   @spec fold(String.t(), pos_integer()) :: [String.t(), ...]
   def fold(text, width) do
     text

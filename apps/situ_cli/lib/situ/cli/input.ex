@@ -1,14 +1,14 @@
 defmodule Situ.CLI.Input do
   @moduledoc false
-  # Standard input as bytes. The VM reads it by itself, so it cannot be opened as a file.
+  # Reads standard input as bytes. The VM itself reads from it, so it cannot be opened as a file.
 
   @part 65_536
 
-  @doc "All of it."
+  @doc "Reads all of standard input."
   @spec read() :: binary()
   def read, do: parts() |> Enum.to_list() |> IO.iodata_to_binary()
 
-  @doc "In a file of its own for as long as `work` takes, that may read it twice."
+  @doc "Calls `work` with a temporary file that holds all of standard input, and that it may read more than once."
   @spec spooled((Path.t() -> result)) :: result when result: term()
   def spooled(work) do
     Situ.Scratch.with_folder("input", fn folder ->
@@ -20,7 +20,7 @@ defmodule Situ.CLI.Input do
     end)
   end
 
-  # Bytes, whatever text they are: as text it would have to be UTF-8.
+  # Reads bytes as Latin-1, because as UTF-8 they would have to be valid text.
   defp parts do
     Stream.resource(
       fn ->

@@ -1,19 +1,19 @@
 defmodule Situ.CLI.Manual do
   @moduledoc false
-  # The manual page (troff, for `man`), out of the verbs' tables.
+  # Renders the manual page (troff, for `man`) from the verbs' tables.
   alias Situ.CLI.{Help, Option, Verb}
 
   @spec page([Verb.t()], String.t()) :: String.t()
   def page(verbs, version) do
     IO.iodata_to_binary([
       ".TH SITU 1 \"\" \"situ #{version}\" \"Situ\"\n",
-      ".SH NAME\nsitu \\- records, replays and shows streams of what was seen and heard\n",
+      ".SH NAME\nsitu \\- records, replays and shows timestamped streams\n",
       ".SH SYNOPSIS\n.B situ\n.I COMMAND\n[\\fIVERB\\fR] [\\fIARGUMENTS\\fR] [\\fIOPTIONS\\fR]\n",
       ".SH COMMANDS\n",
       Enum.map(verbs, &verb/1),
       ".SH COMMON OPTIONS\n",
       Enum.map(Verb.common(), &option/1),
-      ".SH EXIT STATUS\n0 done; 1 failed, or damage or differences found; 2 wrong usage; ",
+      ".SH EXIT STATUS\n0 success; 1 failure, or damage or differences found; 2 wrong usage; ",
       "130 stopped by Ctrl\\-C; 141 the reader of a pipe closed it.\n"
     ])
   end
@@ -34,7 +34,7 @@ defmodule Situ.CLI.Manual do
   defp option(option), do: item(Option.label(option), Help.described(option))
   defp item(label, text), do: [".TP\n\\fB", escape(label), "\\fR\n", escape(text), "\n"]
 
-  # A backslash and a hyphen mean something, and so does a dot or a quote that begins a line.
+  # Backslashes and hyphens are special in troff, and so are dots and quotes at the start of a line.
   defp escape(text) do
     text
     |> String.replace("\\", "\\e")

@@ -1,10 +1,10 @@
 defmodule Situ.CLI.Option do
   @moduledoc """
-  One option of a verb: the source of its parsing, its line in `--help` and the manual, and its completion.
+  One option of a verb. It determines parsing, the line in `--help` and the manual, and completion.
 
   `type` is `:flag`, `:string`, `:path`, `:integer`, `:float`, `:time` (ISO 8601, or nanoseconds since 1970),
-  `:span` (`10s`, `250ms`), or a list of words of which one is meant. `value` is how help names the value; `many?`
-  options may be given several times; `negated?` flags are on unless `--no-NAME` is given.
+  `:span` (`10s`, `250ms`), or a list of allowed words. `value` is the name of the value in help; `many?` options may
+  be given several times; `negated?` flags are on unless `--no-NAME` is given.
 
       iex> alias Situ.CLI.Option
       iex> option = Option.new(:length, :span, "so long")
@@ -31,17 +31,17 @@ defmodule Situ.CLI.Option do
   @units %{"ns" => 1, "us" => 1_000, "ms" => 1_000_000, "s" => 1_000_000_000}
          |> Map.merge(%{"m" => 60_000_000_000, "min" => 60_000_000_000, "h" => 3_600_000_000_000})
 
-  @doc "An option; `more` sets `short:`, `value:`, `default:`, `many?:`, `negated?:`."
+  @doc "Builds an option; `more` sets `short:`, `value:`, `default:`, `many?:`, `negated?:`."
   @spec new(atom(), type(), String.t(), keyword()) :: t()
   def new(name, type, doc, more \\ []),
     do: struct!(%__MODULE__{name: name, type: type, doc: doc}, more)
 
-  @doc "The option as it is typed, without its value: `--skip-damage`."
+  @doc "Returns the option as it is typed, without its value: `--skip-damage`."
   @spec switch(t()) :: String.t()
   def switch(%__MODULE__{name: name}),
     do: "--" <> (name |> Atom.to_string() |> String.replace("_", "-"))
 
-  @doc "As help shows it: `-s, --stream NAME`."
+  @doc "Returns the option as help shows it: `-s, --stream NAME`."
   @spec label(t()) :: String.t()
   def label(%__MODULE__{} = option) do
     short = if option.short, do: "-#{option.short}, ", else: ""
@@ -55,7 +55,7 @@ defmodule Situ.CLI.Option do
     short <> switch <> if(value, do: " " <> value, else: "")
   end
 
-  @doc "The word for its value, `nil` of a flag."
+  @doc "Returns the name of the option's value, `nil` for a flag."
   @spec value(t()) :: String.t() | nil
   def value(%__MODULE__{type: :flag}), do: nil
   def value(%__MODULE__{value: value}) when value != nil, do: value
@@ -65,7 +65,7 @@ defmodule Situ.CLI.Option do
   def value(%__MODULE__{type: :string}), do: "TEXT"
   def value(%__MODULE__{type: type}), do: type |> Atom.to_string() |> String.upcase()
 
-  @doc "The value that `text` means: `{:ok, value}`, or the sentence that refuses it."
+  @doc "Parses `text` as a value of this option; the error is a sentence for the user."
   @spec read(t(), String.t()) :: {:ok, term()} | {:error, String.t()}
   def read(%__MODULE__{type: type}, text) when type in [:string, :path], do: {:ok, text}
 

@@ -1,21 +1,21 @@
 defmodule Situ.CLI.Output do
   @moduledoc false
-  # Everything that is printed. Text out of recordings reaches the terminal as text: control characters, with which
-  # a name could move the cursor or rename the window, and bytes that are no UTF-8 are shown by their numbers.
+  # Prints all output. Control characters in text from recordings could move the cursor or rename the terminal's window,
+  # so they are escaped, and so are bytes that are not UTF-8.
 
-  @doc "A line (or several) for people."
+  @doc "Prints one or several lines for people."
   @spec puts(String.t()) :: :ok
   def puts(text), do: IO.puts(clean(text, ~r/[\x00-\x08\x0b-\x1f\x7f-\x{9f}]/u))
 
-  @doc "A line on standard error."
+  @doc "Prints a line to standard error."
   @spec warn(String.t()) :: :ok
   def warn(text), do: IO.puts(:stderr, clean(text, ~r/[\x00-\x08\x0b-\x1f\x7f-\x{9f}]/u))
 
-  @doc "A value for programs: one line of JSON."
+  @doc "Prints a value for programs, as one line of JSON."
   @spec json(Situ.JSON.value()) :: :ok
   def json(value), do: IO.puts(Situ.JSON.encode(value))
 
-  @doc "Bytes as they are, whatever they mean: as text they would be written in UTF-8 once more."
+  @doc "Writes bytes unchanged; text output would encode them as UTF-8 once more."
   @spec raw(binary()) :: :ok
   def raw(bytes) do
     before = :io.getopts(:standard_io)
@@ -26,7 +26,7 @@ defmodule Situ.CLI.Output do
     :ok
   end
 
-  @doc "A name for a cell or in the middle of a line: no line feeds either."
+  @doc "Formats a name for a cell or the middle of a line, with line feeds escaped as well."
   @spec name(String.t()) :: String.t()
   def name(text), do: clean(text, ~r/[\x00-\x1f\x7f-\x{9f}]/u)
 
@@ -46,7 +46,7 @@ defmodule Situ.CLI.Output do
   defp escape("\r"), do: "\\r"
   defp escape(<<code::utf8>>), do: "\\x" <> Base.encode16(<<code>>)
 
-  @doc "Columns for people: the first row is the head; `left` columns from the left are aligned left, the others right."
+  @doc "Prints a table whose first row is the header; `left` columns are left-aligned, the others right-aligned."
   @spec table([[String.t()]], non_neg_integer(), String.t()) :: :ok
   def table(rows, left, indent \\ "  ") do
     rows = for row <- rows, do: Enum.map(row, &name/1)
@@ -70,14 +70,14 @@ defmodule Situ.CLI.Output do
     :ok
   end
 
-  @doc "A size."
+  @doc "Formats a size in bytes."
   @spec bytes(non_neg_integer()) :: String.t()
   def bytes(n) when n >= 1_000_000_000, do: "#{Float.round(n / 1.0e9, 2)} GB"
   def bytes(n) when n >= 1_000_000, do: "#{Float.round(n / 1.0e6, 2)} MB"
   def bytes(n) when n >= 1_000, do: "#{Float.round(n / 1.0e3, 1)} kB"
   def bytes(n), do: "#{n} B"
 
-  @doc "`1 stream`, `2 streams`."
+  @doc "Formats a count with its noun: `1 stream`, `2 streams`."
   @spec number(non_neg_integer(), String.t()) :: String.t()
   def number(1, noun), do: "1 #{noun}"
   def number(n, noun), do: "#{n} #{noun}s"

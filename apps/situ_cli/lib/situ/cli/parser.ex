@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Parser do
   @moduledoc false
-  # A command line against a verb's table.
+  # Parses a command line according to a verb's table.
   alias Situ.CLI.{Option, Verb}
 
   @spec parse(Verb.t(), [String.t()]) :: {:ok, map(), keyword()} | :help | {:error, String.t()}
@@ -13,7 +13,7 @@ defmodule Situ.CLI.Parser do
 
     aliases = for %{short: short, name: name} <- options, short, do: {short, name}
 
-    # Options end at "--"; whatever asks for help gets it.
+    # Options end at "--". A command line that contains --help shows the help, even if it has errors.
     case OptionParser.parse(argv, strict: strict, aliases: aliases) do
       {given, words, invalid} ->
         cond do
@@ -50,7 +50,7 @@ defmodule Situ.CLI.Parser do
   defp values(option, [text]), do: Option.read(option, text)
 
   defp values(option, _),
-    do: {:error, "#{Option.switch(option)} is given twice, and takes one value"}
+    do: {:error, "#{Option.switch(option)} is given more than once, but takes one value"}
 
   defp all(_option, [], done), do: {:ok, Enum.reverse(done)}
 
@@ -62,12 +62,13 @@ defmodule Situ.CLI.Parser do
     known = Enum.map(options, &Option.switch/1)
 
     case Enum.find(options, &(switch in [Option.switch(&1), "-#{&1.short}"])) do
-      nil -> "there is no option #{switch}#{near(switch, known)}"
+      nil -> "unknown option #{switch}#{near(switch, known)}"
       option -> "#{switch} needs a value: #{Option.label(option)}"
     end
   end
 
-  defp unknown({switch, value}, _options), do: "#{switch} takes no value like #{inspect(value)}"
+  defp unknown({switch, value}, _options),
+    do: "#{switch} does not accept the value #{inspect(value)}"
 
   defp near(switch, known) do
     case Situ.Options.nearest(switch, known) do
@@ -76,7 +77,7 @@ defmodule Situ.CLI.Parser do
     end
   end
 
-  # The one argument that takes many gets what the others leave.
+  # The only argument that takes many words gets all words that the other arguments do not need.
   defp arguments(%{arguments: specs} = verb, words) do
     needed = Enum.count(specs, fn {_, spec} -> not (spec[:optional] || false) end)
     many? = Enum.any?(specs, fn {_, spec} -> spec[:many] end)

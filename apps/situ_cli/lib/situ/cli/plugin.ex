@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Plugin do
-  @moduledoc "`situ plugin`: what others add to Situ."
+  @moduledoc "`situ plugin`: creates, lists and tests plug-ins."
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Verb}
@@ -12,14 +12,17 @@ defmodule Situ.CLI.Plugin do
     [
       %Verb{
         words: ["plugin", "new"],
-        summary: "make a plug-in: a visualizer, an adapter and their tests, to begin with",
+        summary:
+          "create a working plug-in to start from: a visualizer, an adapter and their tests",
         about: """
-        Makes the folder NAME with a plug-in that works. It is found by `situ studio --plugins NAME`, and everywhere
-        once it lies in the folder that `situ plugin list` shows.
+        Creates the folder NAME with a plug-in that works. `situ studio --plugins NAME` finds it there. If it is in the
+        folder that `situ plugin list` shows, it is found everywhere.
         """,
-        arguments: [name: [kind: :text, doc: "its name: small letters, digits and dashes"]],
+        arguments: [name: [kind: :text, doc: "its name: lowercase letters, digits and hyphens"]],
         options: [
-          Option.new(:in, :path, "the folder to make it in (default: here)", value: "FOLDER")
+          Option.new(:in, :path, "the folder to create it in (default: the current one)",
+            value: "FOLDER"
+          )
         ],
         examples: ["situ plugin new gaze-heat-map"],
         run: &new/2
@@ -27,13 +30,13 @@ defmodule Situ.CLI.Plugin do
       %Verb{
         words: ["plugin", "list"],
         summary: "list the plug-ins, with the errors of broken ones",
-        about: "Plug-ins are looked for in #{Plugins.default_dir()} and in the FOLDERS.",
+        about: "Searches #{Plugins.default_dir()} and the FOLDERS for plug-ins.",
         arguments: [
           folders: [
             kind: :folder,
             optional: true,
             many: true,
-            doc: "further folders of plug-ins, or of one"
+            doc: "more folders that contain plug-ins or are plug-ins"
           ]
         ],
         examples: ["situ plugin list", "situ plugin list gaze-heat-map"],
@@ -43,8 +46,8 @@ defmodule Situ.CLI.Plugin do
         words: ["plugin", "test"],
         summary: "run the tests of a plug-in",
         about: """
-        Loads the plug-in and runs its test/*_test.exs, then its test/*_test.mjs with Node where that is installed.
-        Status 1 where one fails, or the plug-in is broken.
+        Loads the plug-in and runs its test/*_test.exs, then its test/*_test.mjs if Node is installed. Exits with
+        status 1 if a test fails or the plug-in is broken.
         """,
         arguments: [folder: [kind: :folder, doc: "the plug-in"]],
         examples: ["situ plugin test gaze-heat-map"],
@@ -53,7 +56,7 @@ defmodule Situ.CLI.Plugin do
     ]
   end
 
-  @doc "The plug-ins of the user's folder and of `folders`, their readers and tasks made known. Warns of broken ones."
+  @doc "Loads the plug-ins of the user's folder and of `folders`, registers them, and warns about broken ones."
   @spec load([Path.t()]) :: [Plugins.Plugin.t()]
   def load(folders) do
     plugins = Plugins.load([Plugins.default_dir() | folders])
@@ -69,7 +72,7 @@ defmodule Situ.CLI.Plugin do
     case Template.write(name, opts[:in] || ".") do
       {:ok, folder, files} ->
         for file <- files, do: Output.puts("  " <> Path.join(folder, file))
-        Output.puts("Look at it: situ studio RECORDING --plugins #{folder}")
+        Output.puts("Try it: situ studio RECORDING --plugins #{folder}")
         0
 
       {:error, error} ->
@@ -85,7 +88,7 @@ defmodule Situ.CLI.Plugin do
         Output.json(Enum.map(plugins, &json/1))
 
       plugins == [] ->
-        Output.puts("There are no plug-ins. They lie in #{Plugins.default_dir()}.")
+        Output.puts("No plug-ins found. Put them in #{Plugins.default_dir()}.")
 
       true ->
         for plugin <- plugins, line <- lines(plugin), do: Output.puts(line)
@@ -145,7 +148,7 @@ defmodule Situ.CLI.Plugin do
         true
 
       node == nil ->
-        Output.warn("situ: Node is not installed: the tests of the scripts did not run")
+        Output.warn("situ: Node is not installed, so the tests of the scripts were skipped")
         true
 
       true ->

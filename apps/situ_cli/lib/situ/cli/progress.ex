@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Progress do
   @moduledoc false
-  # A bar on standard error, when a person watches and the work takes longer than a moment.
+  # Shows a progress bar on standard error if that is a terminal and the work takes longer than 100 ms.
 
   @spec show(String.t(), keyword(), ((non_neg_integer(), non_neg_integer() -> any()) -> result)) ::
           result
@@ -12,8 +12,8 @@ defmodule Situ.CLI.Progress do
     end
   end
 
-  # Without a shell the VM does not know its terminal; the system does. Opened again, what is written is there before
-  # the next line goes to standard output.
+  # Without a shell the VM does not know its terminal, but the system does. The terminal is opened again, because raw
+  # writes reach it before the next line of standard output.
   defp terminal do
     with {:ok, device} <- File.read_link("/proc/self/fd/2"),
          true <- device =~ ~r{\A/dev/(pts/|tty|console)},

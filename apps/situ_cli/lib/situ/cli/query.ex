@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Query do
-  @moduledoc "`situ store query` and `situ dataset query`: when does an expression over streams hold?"
+  @moduledoc "`situ store query` and `situ dataset query`: find the intervals in which an expression is true."
   @behaviour Situ.CLI.Verb
   alias Situ.Annotation.{Edit, Layer, Schema}
   alias Situ.CLI.{Option, Output, Progress, Verb}
@@ -8,8 +8,8 @@ defmodule Situ.CLI.Query do
   alias Situ.{Query, Time}
 
   @about """
-  The language is on one page: docs/guides/expressions.md. Streams are named as they are, in backticks where the
-  name has points; latency(S) and age(S) are those of a stream's latest message.
+  The language is described in docs/guides/expressions.md. Streams are written by name, in backticks if the name
+  contains dots; latency(S) and age(S) refer to a stream's latest message.
   """
 
   @impl true
@@ -21,7 +21,7 @@ defmodule Situ.CLI.Query do
         about: @about,
         arguments: [
           path: [kind: :recording, doc: "a recording"],
-          expression: [kind: :text, doc: "what is to hold"]
+          expression: [kind: :text, doc: "the condition"]
         ],
         options: searching(),
         examples: [
@@ -35,19 +35,19 @@ defmodule Situ.CLI.Query do
         about: @about,
         arguments: [
           path: [kind: :recording, doc: "a dataset file, or a folder of recordings"],
-          expression: [kind: :text, doc: "what is to hold"]
+          expression: [kind: :text, doc: "the condition"]
         ],
         options:
           searching() ++
             [
               Option.new(:tag, :string, "only sessions with this tag", many?: true),
-              Option.new(:name, :string, "only sessions whose name fits this pattern",
+              Option.new(:name, :string, "only sessions whose name matches this pattern",
                 value: "PATTERN"
               ),
               Option.new(
                 :annotate,
                 :string,
-                "keep what is found as proposals: a new partition of this name in every session",
+                "save the intervals as proposals: a new partition of this name in every session",
                 value: "PARTITION"
               )
             ],
@@ -61,12 +61,12 @@ defmodule Situ.CLI.Query do
 
   defp searching do
     [
-      Option.new(:from, :time, "from this originating time on"),
-      Option.new(:to, :time, "up to this originating time"),
-      Option.new(:least, :span, "leave shorter intervals out", default: 0),
+      Option.new(:from, :time, "start at this originating time"),
+      Option.new(:to, :time, "end at this originating time"),
+      Option.new(:least, :span, "omit shorter intervals", default: 0),
       Option.new(:join, :span, "close gaps no longer than this", default: 0),
-      Option.new(:hold, :span, "a value grows so old at most (default: until the next message)"),
-      Option.new(:limit, :integer, "so many intervals of a session at most", default: 100_000)
+      Option.new(:hold, :span, "how long a value is valid (default: until the next message)"),
+      Option.new(:limit, :integer, "maximum number of intervals per session", default: 100_000)
     ]
   end
 
@@ -85,7 +85,7 @@ defmodule Situ.CLI.Query do
         end
       end)
 
-    # A stream that a recording lacks is that recording's error; of several sessions the others have it perhaps.
+    # A missing stream is an error if there is only one session; other sessions of a dataset may have the stream.
     case found do
       [{_, {:error, error}}] -> raise error
       _ -> told(found, opts)
@@ -127,13 +127,13 @@ defmodule Situ.CLI.Query do
             "#{prefix}#{Time.to_iso8601(from)}  #{Time.to_iso8601(to)}  #{Time.format_duration(to - from)}"
           )
 
-    if found.truncated?, do: Output.warn("#{prefix}there are more; --limit")
+    if found.truncated?, do: Output.warn("#{prefix}more intervals exist; raise --limit")
   end
 
   defp shown(session, {:error, error}, _several?),
     do: Output.warn("#{session.name}: #{error.what}")
 
-  # A partition for each session in which something was found, beside its first one.
+  # Writes a partition for each session with results, in the same folder as the session's first partition.
   defp annotate(dataset, found, expression, opts) do
     name = opts[:annotate]
     schema = Schema.text("Query")
@@ -152,7 +152,7 @@ defmodule Situ.CLI.Query do
       do: ok!(Dataset.update(dataset, &put_all(&1, written))),
       else:
         Output.warn(
-          "the partitions are written; make a dataset of the folder to have them listed"
+          "the partitions were written; run `situ dataset create` on the folder to list them"
         )
   end
 

@@ -1,20 +1,20 @@
 defmodule Situ.CLI.Recording do
   @moduledoc false
-  # Recordings as arguments: patterns, several at once, and the applications that read foreign files, started when
-  # one is met.
+  # Handles recordings as arguments: patterns, several paths, and starting the applications that read external formats
+  # when one is used.
   alias Situ.Store
   alias Situ.Store.Formats
 
   @readers [:situ_media, :situ_bridge, :situ_dataset, :situ_remote]
 
-  @doc "Opens a recording, or raises the error."
+  @doc "Opens a recording or raises an error."
   @spec open!(Path.t()) :: Store.Handle.t()
   def open!(path) do
     ready([path])
     Store.open!(path)
   end
 
-  @doc "Makes the readers of all kinds of files known; of what is a file or an address, started."
+  @doc "Loads the readers of all file formats, and starts them if a path is a file or an address."
   @spec ready([Path.t()]) :: :ok
   def ready(paths) do
     for app <- @readers, do: Application.load(app)
@@ -25,7 +25,7 @@ defmodule Situ.CLI.Recording do
     :ok
   end
 
-  @doc "Patterns that no shell has expanded (quoted ones) name what they fit; those that fit nothing stay."
+  @doc "Expands patterns that the shell did not expand (because of quotes); patterns without matches are kept."
   @spec expand([Path.t()]) :: [Path.t()]
   def expand(paths) do
     Enum.flat_map(paths, fn path ->
@@ -35,7 +35,7 @@ defmodule Situ.CLI.Recording do
     end)
   end
 
-  @doc "Bytes on the disk."
+  @doc "Returns the size on disk in bytes."
   @spec size(Path.t()) :: non_neg_integer()
   def size(path) do
     # Path.wildcard/1 fails on names that are not UTF-8.

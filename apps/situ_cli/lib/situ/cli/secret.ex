@@ -1,14 +1,14 @@
 defmodule Situ.CLI.Secret do
   @moduledoc false
-  # Tokens that verbs need. Every user of the machine can read the command line of a process, but not a private file
-  # or its environment.
+  # Reads the tokens that verbs need. Every user of the machine can read a process's command line, but not a private
+  # file or the process's environment.
   alias Situ.CLI.{Option, Output}
   alias Situ.Error
   alias Situ.Remote.Access
 
-  @doc "Returns the option that names the token's file; `doc` says what the token is for."
+  @doc "Returns the option that names the token's file; `doc` describes the option in help."
   @spec option(String.t()) :: Option.t()
-  def option(doc \\ "the file that holds the token (its first line); SITU_TOKEN holds one, too"),
+  def option(doc \\ "the file with the token in its first line (or set SITU_TOKEN)"),
     do: Option.new(:token_file, :path, doc)
 
   @doc """
@@ -27,23 +27,24 @@ defmodule Situ.CLI.Secret do
 
       {nil, token} ->
         Output.warn(
-          "situ: every user of this machine can read --token in the list of processes\n" <>
-            "  Fix: write it into a file with the mode 0600 and give --token-file FILE, or set SITU_TOKEN"
+          "situ: every user of this machine can read --token in the process list\n" <>
+            "  Fix: write it to a file with mode 0600 and give --token-file FILE, or set SITU_TOKEN"
         )
 
         {:ok, token}
 
       _ ->
-        {:error, Error.new(:usage, "--token and --token-file are both given", fix: "give one")}
+        {:error,
+         Error.new(:usage, "--token and --token-file are both given", fix: "give only one")}
     end
   end
 
-  @doc "Warns when an address has a password in it."
+  @doc "Warns if an address contains a password."
   @spec warn_of_password(String.t(), String.t()) :: :ok
   def warn_of_password(address, fix) do
     if URI.parse(address).userinfo != nil do
       Output.warn(
-        "situ: every user of this machine can read the password in the address, in the list of processes\n" <>
+        "situ: every user of this machine can read the password in the address in the process list\n" <>
           "  Fix: #{fix}"
       )
     end
@@ -58,7 +59,7 @@ defmodule Situ.CLI.Secret do
     end
   end
 
-  # Access by the group may be intended, access by everybody is not.
+  # Access for the group may be intentional; access for all users is not.
   defp warn_of_readers(file) do
     with {:ok, %{mode: mode}} when Bitwise.band(mode, 0o004) != 0 <- File.stat(file) do
       Output.warn(

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Serve do
-  @moduledoc "`situ serve`: a recording for other machines."
+  @moduledoc "`situ serve`: serves a recording to other machines."
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Secret, Verb}
@@ -11,35 +11,35 @@ defmodule Situ.CLI.Serve do
     [
       %Verb{
         words: ["serve"],
-        summary: "serve a recording to other machines, also while it is recorded",
+        summary: "serve a recording to other machines, even while it is being recorded",
         about: """
-        Serves until it is stopped (Ctrl-C). A name without a version means all of its versions, those that will be
-        recorded included; one that has none yet is waited for. Elsewhere a pipeline opens it by the address that is
-        printed: Situ.Remote.open(p, ADDRESS, from: :resume). The studio and `situ store` open the same address as a
-        recording; they read the token from SITU_TOKEN, or from the file that SITU_TOKEN_FILE names. See the guide
-        "Links between machines".
+        Serves until it is stopped (Ctrl-C). A name without a version means all of its versions, including future ones;
+        if no version exists yet, it waits for the first. On another machine, a pipeline opens the printed address:
+        Situ.Remote.open(p, ADDRESS, from: :resume). The studio and `situ store` open the same address as a recording;
+        they read the token from SITU_TOKEN, or from the file that SITU_TOKEN_FILE names. See the guide "Links between
+        machines".
         """,
         arguments: [path: [kind: :recording, doc: "a recording, or the name of its versions"]],
         options: [
-          Option.new(:port, :integer, "listen on this port; 0 takes a free one",
+          Option.new(:port, :integer, "listen on this port; 0 selects a free one",
             default: Address.default_port()
           ),
           Option.new(
             :listen,
             :string,
-            "listen on this address; elsewhere clients must know a token",
+            "listen on this address; other addresses than the default require a token",
             value: "ADDRESS",
             default: "127.0.0.1"
           ),
           Secret.option(),
-          Option.new(:unix, :path, "listen on a Unix socket of this path, too"),
-          Option.new(:tls, :flag, "speak TLS, by a certificate made for this machine"),
-          Option.new(:certificate, :path, "speak TLS by this certificate (PEM)"),
+          Option.new(:unix, :path, "also listen on a Unix socket with this path"),
+          Option.new(:tls, :flag, "use TLS with a certificate generated for this machine"),
+          Option.new(:certificate, :path, "use TLS with this certificate (PEM)"),
           Option.new(:key, :path, "the certificate's key (PEM)"),
           Option.new(
             :bytes_per_second,
             :integer,
-            "send no more than this to all clients together"
+            "maximum rate for all clients together"
           )
         ],
         examples: [
@@ -52,7 +52,7 @@ defmodule Situ.CLI.Serve do
   end
 
   defp serve(path, opts) do
-    # Recordings of other systems are served too.
+    # Recordings of other systems can be served as well.
     for app <- [:situ_bridge, :situ_remote], do: {:ok, _} = Application.ensure_all_started(app)
     Process.flag(:trap_exit, true)
 
@@ -83,7 +83,10 @@ defmodule Situ.CLI.Serve do
         {:ok, [certfile: certificate, keyfile: key]}
 
       _ ->
-        {:error, Error.new(:usage, "--certificate and --key go together", fix: "name both files")}
+        {:error,
+         Error.new(:usage, "--certificate and --key must be given together",
+           fix: "name both files"
+         )}
     end
   end
 

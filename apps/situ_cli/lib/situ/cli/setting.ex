@@ -1,12 +1,12 @@
 defmodule Situ.CLI.Setting do
   @moduledoc """
-  Reads `--set NAME=VALUE`, where a value is JSON, or text.
+  Parses `--set NAME=VALUE`, where a value is JSON or text.
 
       iex> Situ.CLI.Setting.read(["count=3", "names=[\\"a\\"]", "mode=a=b"])
       [{"count", 3}, {"names", ["a"]}, {"mode", "a=b"}]
   """
 
-  @doc "Names and values, in order. Throws `{:usage, text}` for one without a value."
+  @doc "Returns names and values in order. Throws `{:usage, text}` for a setting without a name or value."
   @spec read([String.t()]) :: [{String.t(), term()}]
   def read(texts), do: Enum.map(texts, &pair/1)
 

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Shell do
-  @moduledoc "`situ completion` and `situ manual`: completion scripts for shells, and the manual page."
+  @moduledoc "`situ completion` and `situ manual`: print completion scripts for shells, and the manual page."
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Commands, Completion, Manual, Verb}
 
@@ -8,7 +8,7 @@ defmodule Situ.CLI.Shell do
     [
       %Verb{
         words: ["completion"],
-        summary: "print what a shell needs to complete situ's commands and options",
+        summary: "print a shell's completion script for situ's commands and options",
         about: """
         bash: source <(situ completion bash)
         zsh: situ completion zsh > "${fpath[1]}/_situ"
@@ -33,7 +33,7 @@ defmodule Situ.CLI.Shell do
       0
     else
       raise Situ.Error.new(:bad_option, "no completion for the shell #{inspect(shell)}",
-              fix: "there is one for #{Enum.join(Completion.shells(), ", ")}"
+              fix: "use #{Enum.join(Completion.shells(), " or ")}"
             )
     end
   end

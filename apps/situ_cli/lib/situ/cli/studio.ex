@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Studio do
-  @moduledoc "`situ studio`: recordings in the browser."
+  @moduledoc "`situ studio`: shows recordings in the browser."
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Plugin, Secret, Verb}
@@ -10,53 +10,56 @@ defmodule Situ.CLI.Studio do
     [
       %Verb{
         words: ["studio"],
-        summary: "look at recordings in the browser: scrub, play, watch live",
+        summary: "view recordings in the browser: scrub, play, watch live",
         about: """
         Serves the studio until it is stopped (Ctrl-C) and opens the browser. PATH is a recording, or a folder that
-        holds recordings at any depth; default: the folder "recordings", else this one. A recording that is being
-        written is followed live.
+        contains recordings at any depth (default: the folder "recordings", else the current folder). A recording that
+        is being written is shown live.
         """,
         arguments: [
           path: [kind: :recording, optional: true, doc: "a recording, or a folder of recordings"]
         ],
         options: [
-          Option.new(:port, :integer, "listen on this port; 0 takes a free one", default: 4040),
+          Option.new(:port, :integer, "listen on this port; 0 selects a free one", default: 4040),
           Option.new(
             :listen,
             :string,
-            "listen on this address; elsewhere a browser must bring a token",
+            "listen on this address; other addresses than the default require a token",
             value: "ADDRESS",
             default: "127.0.0.1"
           ),
           Secret.option(
-            "the file that holds the token (8 characters or more) in place of a random one; so does SITU_TOKEN"
+            "the file with the token (8 characters or more), or set SITU_TOKEN; default: a random token"
           ),
           Option.new(
             :token,
             :string,
-            "the token itself, which every user of the machine can read"
+            "the token itself; every user of the machine can read it"
           ),
-          Option.new(:tls, :flag, "speak https, by a certificate made for this machine"),
-          Option.new(:certificate, :path, "speak https by this certificate (PEM)"),
+          Option.new(:tls, :flag, "use HTTPS with a certificate generated for this machine"),
+          Option.new(:certificate, :path, "use HTTPS with this certificate (PEM)"),
           Option.new(:key, :path, "the certificate's key (PEM)"),
           Option.new(
             :layouts,
             :path,
-            "where layouts are saved (default: the user's configuration folder)"
+            "the folder for layouts (default: the user's configuration folder)"
           ),
-          Option.new(:plugins, :path, "a folder of plug-ins, or of one; see `situ plugin --help`",
+          Option.new(
+            :plugins,
+            :path,
+            "a plug-in, or a folder of plug-ins; see `situ plugin --help`",
             many?: true
           ),
           Option.new(
             :tiles,
             :string,
-            "pictures for maps: https://.../{z}/{x}/{y}.png, or a folder of such files",
+            "map tiles: https://.../{z}/{x}/{y}.png, or a folder of such files",
             value: "URL"
           ),
-          Option.new(:tiles_credit, :string, "who made them, to be named on the map",
+          Option.new(:tiles_credit, :string, "the attribution of the tiles, shown on the map",
             value: "TEXT"
           ),
-          Option.new(:read_only, :flag, "nothing on disk can be changed"),
+          Option.new(:read_only, :flag, "do not allow changes to files"),
           Option.new(:open, :flag, "do not open the browser", negated?: true)
         ],
         examples: ["situ studio recordings/lobby --port 4041"],
@@ -66,7 +69,7 @@ defmodule Situ.CLI.Studio do
   end
 
   defp serve(path, opts) do
-    # Recordings of other systems are shown too.
+    # Recordings of other systems can be shown as well.
     for app <- [:situ_bridge, :situ_remote, :situ_studio],
         do: {:ok, _} = Application.ensure_all_started(app)
 
@@ -91,8 +94,8 @@ defmodule Situ.CLI.Studio do
       :ok
     else
       {:error,
-       Error.new(:not_found, "there is nothing at #{path}",
-         fix: "name a recording, or a folder that holds some"
+       Error.new(:not_found, "#{path} does not exist",
+         fix: "name a recording, or a folder that contains recordings"
        )}
     end
   end
@@ -104,7 +107,7 @@ defmodule Situ.CLI.Studio do
 
       {:error, _} ->
         {:error,
-         Error.new(:bad_address, "not an address: #{inspect(text)}",
+         Error.new(:bad_address, "invalid address: #{inspect(text)}",
            fix: "write it like 0.0.0.0 or ::1"
          )}
     end
@@ -120,8 +123,8 @@ defmodule Situ.CLI.Studio do
 
       _ ->
         {:error,
-         Error.new(:usage, "--certificate and --key go together",
-           fix: "name both files, or take --tls for a certificate made for this machine"
+         Error.new(:usage, "--certificate and --key must be given together",
+           fix: "name both files, or use --tls for a certificate generated for this machine"
          )}
     end
   end

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Talk do
-  @moduledoc "`situ talk`: an assistant one talks to."
+  @moduledoc "`situ talk`: runs a voice assistant."
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Verb}
@@ -11,20 +11,20 @@ defmodule Situ.CLI.Talk do
     [
       %Verb{
         words: ["talk"],
-        summary: "talk to an assistant: it listens, does things, answers aloud",
+        summary: "talk to an assistant that listens, acts and replies aloud",
         about: """
-        Listens to a microphone (or to a sound file, in real time), recognises sentences with its name, finds out
-        what is wanted, does it, and answers aloud; it can be interrupted. It tells time and date and sets timers; with
-        --chat, a language model answers what else is asked. All of it runs on this machine, but the language model if
-        that is elsewhere. Everything is recorded, and shown in the studio as it happens. English; the recogniser's
-        model (44 MB) is fetched the first time.
+        Listens to a microphone (or plays an audio file in real time), recognizes sentences that contain its name,
+        determines the intent, acts on it and replies aloud; it can be interrupted. It announces time and date and sets
+        timers; with --chat, a language model replies to all other questions. Everything is on this machine, except a
+        language model at another address. Everything is recorded and shown live in the studio. The language is
+        English; the recognizer's model (44 MB) is downloaded on first use.
         """,
         arguments: [],
         options: [
           Option.new(
             :input,
             :string,
-            "a microphone of `situ devices`, a sound file, or \"page\": the studio's page /sensor?name=talk",
+            "a microphone of `situ devices`, an audio file, or \"page\": the studio's page /sensor?name=talk",
             value: "DEVICE|FILE",
             default: "pulse:default"
           ),
@@ -34,38 +34,38 @@ defmodule Situ.CLI.Talk do
             "a speaker of `situ devices`, or none (default: pulse:default; for files: none)",
             value: "DEVICE"
           ),
-          Option.new(:wake, :string, "its name; \"\" to have it answer to everything",
+          Option.new(:wake, :string, "its name; with \"\" it responds to everything",
             default: "computer"
           ),
           Option.new(
             :voice,
             :string,
-            "a voice of `espeak-ng --voices`, or hibari: a natural one (8 MB, fetched the first time)",
+            "a voice of `espeak-ng --voices`, or hibari, a natural one (8 MB, downloaded on first use)",
             default: "en-us"
           ),
           Option.new(
             :grammar,
             :path,
-            "more that it understands, a JSGF grammar: its intents are recorded"
+            "a JSGF grammar with more sentences to understand; their intents are recorded"
           ),
           Option.new(
             :chat,
             :string,
-            "ask the language model at this address what the rules do not know",
+            "ask the language model at this address if no rule applies",
             value: "URL"
           ),
-          Option.new(:model, :string, "which language model", default: "llama3.2"),
-          Option.new(:key, :string, "the environment variable that holds the key for it",
+          Option.new(:model, :string, "the language model", default: "llama3.2"),
+          Option.new(:key, :string, "the environment variable that contains the model's API key",
             value: "VARIABLE"
           ),
           Option.new(:out, :path, "the folder of the recording", default: "recordings"),
           Option.new(
             :seconds,
             :float,
-            "stop after so long (default: when Enter is pressed, or the file ends)"
+            "stop after this many seconds (default: when Enter is pressed, or the file ends)"
           ),
           Option.new(:studio, :flag, "do not serve the studio", negated?: true),
-          Option.new(:port, :integer, "the studio's port; 0 takes a free one", default: 4040)
+          Option.new(:port, :integer, "the studio's port; 0 selects a free one", default: 4040)
         ],
         examples: ["situ talk", "situ talk --chat http://127.0.0.1:11434/v1 --model llama3.2"],
         run: fn _arguments, opts -> talk(opts) end
@@ -113,7 +113,7 @@ defmodule Situ.CLI.Talk do
 
   defp served(opts) do
     if "page" in [opts[:input], opts[:output]] and not opts[:studio],
-      do: {:error, Error.new(:usage, "a page needs the studio", fix: "leave out --no-studio")},
+      do: {:error, Error.new(:usage, "a page needs the studio", fix: "omit --no-studio")},
       else: :ok
   end
 
@@ -129,7 +129,7 @@ defmodule Situ.CLI.Talk do
       else:
         {:error,
          Error.new(:no_input, "there is neither a file nor a microphone #{inspect(input)}",
-           fix: "`situ devices microphones` lists what there is"
+           fix: "run `situ devices microphones` to list the microphones"
          )}
   end
 
@@ -171,14 +171,14 @@ defmodule Situ.CLI.Talk do
     end)
   end
 
-  # The address may hold the token that the browser must bring.
+  # The URL may contain the token that the browser must send.
   defp page(studio) do
     url = URI.parse(Studio.url(studio))
     query = URI.encode_query(Map.put(URI.decode_query(url.query || ""), "name", "talk"))
     URI.to_string(%{url | path: "/sensor", query: query})
   end
 
-  # Without a terminal there is nobody to press it: then the file's end, or a signal, ends it.
+  # Without a terminal nobody can press Enter, so the end of the file or a signal stops the assistant.
   defp enter(opts) do
     unless opts[:json] or File.regular?(opts[:input]),
       do: Output.puts("Listening. Press Enter to stop.")

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Task do
-  @moduledoc "`situ task` and `situ dataset run`: batch tasks and pipelines over the sessions of a dataset."
+  @moduledoc "`situ task` and `situ dataset run`: run batch tasks and pipelines over the sessions of a dataset."
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Setting, Verb}
   alias Situ.Dataset
@@ -35,28 +35,30 @@ defmodule Situ.CLI.Task do
     %Verb{
       words: ["task", "run"],
       aliases: ["exec"],
-      summary: "run a task, or a pipeline of one's own, over the sessions of a dataset",
+      summary: "run a task, or your own pipeline, over the sessions of a dataset",
       about: """
-      A session that fails does not stop the others (status 1 at the end). A run that was stopped or killed is
-      taken up where it was by the same command. Recordings are never changed: a task makes a new partition, or a
-      file. In place of a task's name stands a file of Elixir with a module that is a task (Situ.Dataset.Task) or a
-      pipeline (Situ.Dataset.Derivation); it is compiled and run as it is, so take only files that you trust.
+      A session that fails does not stop the others (status 1 at the end). The same command resumes a run that was
+      stopped or killed. Recordings are never changed: a task creates a new partition or a file. TASK can also be an
+      Elixir file with a module that is a task (Situ.Dataset.Task) or a pipeline (Situ.Dataset.Derivation). The file is
+      compiled and run without restrictions, so use only files that you trust.
       """,
       arguments: [
         path: [kind: :recording, doc: "a dataset file, a folder of recordings, or a recording"],
         task: [kind: :text, doc: "the task's name, or FILE.ex"]
       ],
       options: [
-        Option.new(:set, :string, "an option of the task; VALUE is JSON, or text",
+        Option.new(:set, :string, "an option of the task; VALUE is JSON or text",
           value: "NAME=VALUE",
           many?: true
         ),
-        Option.new(:config, :path, "options of the task, a JSON object", value: "FILE"),
+        Option.new(:config, :path, "a JSON file with the options of the task", value: "FILE"),
         Option.new(:save_config, :path, "write the options to a file, for --config", value: "FILE"),
         Option.new(:session, :string, "only this session", many?: true, value: "NAME"),
         Option.new(:output, :string, "the new partition's name", value: "NAME"),
-        Option.new(:overwrite, :flag, "put it in the place of a partition of that name"),
-        Option.new(:parallel, :integer, "so many sessions at once", default: 1),
+        Option.new(:overwrite, :flag, "replace an existing partition of that name"),
+        Option.new(:parallel, :integer, "the number of sessions to process in parallel",
+          default: 1
+        ),
         Option.new(:stop, :flag, "stop at the first session that fails")
       ],
       examples: [
@@ -116,7 +118,7 @@ defmodule Situ.CLI.Task do
     end
   end
 
-  # The person who types the command has named the file; nothing else is ever compiled.
+  # Compiling is safe here, because the user named the file; nothing else is ever compiled.
   defp own(file) do
     modules = for {module, _} <- compiled(file), do: module
 
@@ -165,7 +167,7 @@ defmodule Situ.CLI.Task do
     end)
   end
 
-  # What --set says goes before what the file says.
+  # Options from --set override options from the file.
   defp config(opts) do
     saved = if opts[:config], do: read(opts[:config]), else: %{}
 
@@ -177,8 +179,8 @@ defmodule Situ.CLI.Task do
       config
     else
       _ ->
-        raise Error.new(:bad_config, "#{path} is no configuration",
-                fix: "it is a JSON object of the task's options"
+        raise Error.new(:bad_config, "#{path} is not a task configuration",
+                fix: "write a JSON object with the task's options"
               )
     end
   end
@@ -210,7 +212,7 @@ defmodule Situ.CLI.Task do
     if report.output && dataset.file == nil && Enum.any?(report.results, &(&1.error == nil)),
       do:
         Output.warn(
-          "The partitions #{inspect(report.output)} are written; make a dataset of the folder to have them listed."
+          "The partitions #{inspect(report.output)} were written; run `situ dataset create` on the folder to list them."
         )
   end
 

@@ -1,10 +1,10 @@
 defmodule Situ.CLI.UnfinishedOutput do
   @moduledoc false
-  # Removes the unfinished output of a command that is stopped half way (Ctrl-C, kill). The VM ends at once then and
-  # cannot clean up itself, so a small shell waits for its end: it reads from the VM until the pipe is closed.
+  # Removes the unfinished output of a command that is stopped early (Ctrl-C, kill). The VM then exits immediately and
+  # cannot clean up, so a small shell script waits for its end by reading from a pipe until the VM closes it.
   alias Situ.Store
 
-  # Only the files of a store's draft are deleted, so that a user's notes stay.
+  # Only files of a store's draft are deleted, so that a user's notes are kept.
   @script """
   trap "" INT TERM HUP QUIT
   while read -r _; do :; done
@@ -18,14 +18,14 @@ defmodule Situ.CLI.UnfinishedOutput do
   if [ -n "$3" ]; then rm -f -- "$3"; fi
   """
 
-  @doc "Removes unfinished drafts of the store `out` (ROOT/NAME) when this program ends."
+  @doc "Removes unfinished drafts of the store `out` (ROOT/NAME) when this program exits."
   @spec remove_store_at_exit(Path.t()) :: :ok
   def remove_store_at_exit(out) do
     {name, root} = Store.Copying.target(out)
     start_shell(Path.join(root, name), "")
   end
 
-  @doc "Removes FILE.unfinished, as which `file` is written, when this program ends."
+  @doc "Removes the temporary file FILE.unfinished of `file` when this program exits."
   @spec remove_file_at_exit(Path.t()) :: :ok
   def remove_file_at_exit(file) do
     file = Path.expand(file)

@@ -1,11 +1,11 @@
 defmodule Situ.CLI.Dataset.Listing do
-  @moduledoc "The contents of a dataset or of one session, as text or (`--json`) as JSON."
+  @moduledoc "Lists the contents of a dataset or of one session, as text or (`--json`) as JSON."
   alias Situ.CLI.Output
   alias Situ.Dataset
   alias Situ.Dataset.{OpenSession, Partition, Session, Summary}
   alias Situ.Time
 
-  @doc "Lists the sessions that `--tag` and `--name` choose; the status is 1 when a recording of them is unreadable."
+  @doc "Lists the sessions selected by `--tag` and `--name`. Returns status 1 if any of their recordings is unreadable."
   @spec dataset(Dataset.t(), keyword()) :: 0 | 1
   def dataset(dataset, opts) do
     sessions = Dataset.select(dataset, tags: opts[:tag], name: opts[:name] || "*")

@@ -1,40 +1,40 @@
 defmodule Situ.CLI.Store.Arguments do
   @moduledoc false
-  # Times, spans, streams and edits as people write them.
+  # Parses times, spans, streams and edits as users write them.
   alias Situ.CLI.{Option, Recording}
   alias Situ.{Error, Store, Time}
 
   @compressions %{"none" => :none, "lz4" => :lz4, "zstd" => :zstd}
 
-  @doc "`--stream`, described so, and `--exclude`."
+  @doc "Returns the options `--stream`, with this description, and `--exclude`."
   @spec streams(String.t()) :: [Option.t()]
   def streams(about \\ "this stream, or a pattern ('Room.*')") do
     [Option.new(:stream, :string, about, short: :s, value: "NAME", many?: true), exclude()]
   end
 
-  @doc "`--exclude`."
+  @doc "Returns the option `--exclude`."
   @spec exclude() :: Option.t()
   def exclude do
-    Option.new(:exclude, :string, "not this stream, or pattern",
+    Option.new(:exclude, :string, "exclude this stream or pattern",
       short: :x,
       value: "NAME",
       many?: true
     )
   end
 
-  @doc "`--attach` and `--metadata`: things that an MCAP file carries beside its messages."
+  @doc "Returns the options `--attach` and `--metadata`, which add attachments and metadata to an MCAP file."
   @spec carried() :: [Option.t()]
   def carried do
     [
-      Option.new(:attach, :path, "MCAP: put this file into it", value: "FILE", many?: true),
-      Option.new(:metadata, :string, "MCAP: put this into a record of metadata",
+      Option.new(:attach, :path, "MCAP: attach this file", value: "FILE", many?: true),
+      Option.new(:metadata, :string, "MCAP: add this entry to a metadata record",
         value: "RECORD:KEY=VALUE",
         many?: true
       )
     ]
   end
 
-  @doc "`--metadata` by records."
+  @doc "Parses the values of `--metadata` and groups them by record."
   @spec records!([String.t()]) :: %{String.t() => %{String.t() => String.t()}}
   def records!(texts) do
     for text <- texts, reduce: %{} do
@@ -44,12 +44,12 @@ defmodule Situ.CLI.Store.Arguments do
             Map.update(records, record, %{key => value}, &Map.put(&1, key, value))
 
           nil ->
-            raise bad("not metadata: #{text}", "--metadata RECORD:KEY=VALUE")
+            raise bad("invalid metadata: #{text}", "write --metadata RECORD:KEY=VALUE")
         end
     end
   end
 
-  @doc "The options of `Situ.Store.copy/3` and its like."
+  @doc "Returns the options of `Situ.Store.copy/3` and similar functions."
   @spec copying(keyword(), function()) :: keyword()
   def copying(opts, progress) do
     spans = Keyword.take(opts, [:start, :length])
@@ -62,11 +62,11 @@ defmodule Situ.CLI.Store.Arguments do
       streams ++ compression(opts[:compression])
   end
 
-  @doc "Nothing is left out unless the caller says so."
+  @doc "Returns the option `skip_damage:`, which is false unless the user gave the flag."
   @spec damage(keyword()) :: keyword()
   def damage(opts), do: [skip_damage: opts[:skip_damage] == true]
 
-  @doc "`from:` and `to:`."
+  @doc "Returns the options `from:` and `to:`."
   @spec times(keyword()) :: keyword()
   def times(opts),
     do: Keyword.take(opts, [:from, :to])
@@ -89,11 +89,11 @@ defmodule Situ.CLI.Store.Arguments do
   defp compression(text) do
     case @compressions do
       %{^text => kind} -> [compression: kind]
-      _ -> raise bad("no compression #{inspect(text)}", "none, lz4 or zstd")
+      _ -> raise bad("unknown compression #{inspect(text)}", "use none, lz4 or zstd")
     end
   end
 
-  @doc "`--set` and `--delete` by stream, fit for the streams of this store."
+  @doc "Parses `--set` and `--delete`, groups them by stream, and converts values to the types of this store's streams."
   @spec edits!(Store.Handle.t(), keyword()) :: %{String.t() => [tuple()]}
   def edits!(store, opts) do
     sets = for text <- opts[:set], do: set!(store, text)
@@ -108,11 +108,11 @@ defmodule Situ.CLI.Store.Arguments do
         {stream, {:upsert, time, fit(store, stream, json!(json))}}
 
       _ ->
-        raise bad("not an edit: #{text}", "--set STREAM@TIME=JSON")
+        raise bad("invalid edit: #{text}", "write --set STREAM@TIME=JSON")
     end
   end
 
-  # Who writes 5 into a stream of floats means 5.0.
+  # The value 5 for a stream of floats means 5.0.
   defp fit(store, stream, value) when is_integer(value) do
     case Store.stream_info(store, stream) do
       {:ok, %{type: :float}} -> value / 1
@@ -122,7 +122,7 @@ defmodule Situ.CLI.Store.Arguments do
 
   defp fit(_store, _stream, value), do: value
 
-  # Who deletes what is not there has mistaken the time.
+  # Deleting a message that does not exist usually means that the time is wrong.
   defp delete!(store, text) do
     {stream, time} = place!(text)
 
@@ -137,22 +137,25 @@ defmodule Situ.CLI.Store.Arguments do
     fix = if next, do: "the next message is at #{Time.to_iso8601(next.originating_time)}"
 
     Error.new(:no_message, "stream #{inspect(stream)} has no message at #{Time.to_iso8601(time)}",
-      fix: fix || "`situ store messages` shows the times there are"
+      fix: fix || "run `situ store messages` to list the times"
     )
   end
 
   defp json!(text) do
     case Situ.JSON.decode(text) do
-      {:ok, value} -> value
-      {:error, :bad_json} -> raise bad("not JSON: #{text}", "put strings into quotes: '\"text\"'")
+      {:ok, value} ->
+        value
+
+      {:error, :bad_json} ->
+        raise bad("invalid JSON: #{text}", "put strings in quotes: '\"text\"'")
     end
   end
 
-  # The last "@" is the one: names may have some.
+  # The last "@" separates stream and time, because names may contain others.
   defp place!(text) do
     case text |> String.reverse() |> String.split("@", parts: 2) |> Enum.map(&String.reverse/1) do
       [time, stream] -> {stream, time!(time)}
-      _ -> raise bad("not a place: #{text}", "write STREAM@TIME")
+      _ -> raise bad("not a stream and time: #{text}", "write STREAM@TIME")
     end
   end
 
@@ -171,7 +174,7 @@ defmodule Situ.CLI.Store.Arguments do
     end
   end
 
-  # Names and patterns that are wanted, without those that are not.
+  # Returns a filter for the wanted names and patterns without the unwanted ones.
   defp chosen([], []), do: []
   defp chosen(wanted, []), do: [streams: wanted]
 
@@ -183,7 +186,7 @@ defmodule Situ.CLI.Store.Arguments do
     [streams: fn %{name: name} -> fits?.(name, wanted) and not fits?.(name, unwanted) end]
   end
 
-  @doc "The streams that `--stream` and `--exclude` choose, all without them. Raises for a name that fits none."
+  @doc "Returns the streams that `--stream` and `--exclude` select (default: all). Raises if a name matches no stream."
   @spec chosen!(Store.Handle.t(), keyword()) :: [Store.StreamInfo.t()]
   def chosen!(store, opts) do
     all = Store.streams(store)
@@ -195,7 +198,7 @@ defmodule Situ.CLI.Store.Arguments do
     end
   end
 
-  # A stream's own name comes first: it may look like a pattern.
+  # An exact name takes precedence, because a name may look like a pattern.
   defp matching!(store, all, name) do
     case {Enum.find(all, &(&1.name == name)), Enum.filter(all, &fits?(&1.name, name))} do
       {%{} = exact, _} -> [exact]
@@ -204,7 +207,7 @@ defmodule Situ.CLI.Store.Arguments do
     end
   end
 
-  @doc "Whether a stream's name is what is wanted, or fits it as a pattern."
+  @doc "Returns whether a stream's name is equal to the pattern or matches it."
   @spec fits?(String.t(), String.t()) :: boolean()
   def fits?(name, pattern), do: name =~ pattern(pattern)
 

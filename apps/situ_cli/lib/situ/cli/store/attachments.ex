@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Store.Attachments do
-  @moduledoc "`situ store attachments`: the files that an MCAP file carries."
+  @moduledoc "`situ store attachments`: lists and extracts the attachments of an MCAP file."
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.Mcap
   alias Situ.CLI.{Option, Output, Recording, Verb}
@@ -11,13 +11,13 @@ defmodule Situ.CLI.Store.Attachments do
       %Verb{
         words: ["store", "attachments"],
         aliases: ["attachment"],
-        summary: "list the attachments of an MCAP file, or take one out",
+        summary: "list the attachments of an MCAP file, or extract one",
         arguments: [
           path: [kind: :recording, doc: "an MCAP file"],
-          name: [kind: :text, optional: true, doc: "the attachment to take out"]
+          name: [kind: :text, optional: true, doc: "the attachment to extract"]
         ],
         options: [
-          Option.new(:output, :path, "the file that it becomes (default: standard output)",
+          Option.new(:output, :path, "the file to write (default: standard output)",
             short: :o,
             value: "FILE"
           )
@@ -34,7 +34,9 @@ defmodule Situ.CLI.Store.Attachments do
     unless store.module == Mcap,
       do:
         raise(
-          Error.new(:no_attachments, "#{path} is no MCAP file", why: "only these have attachments")
+          Error.new(:no_attachments, "#{path} is not an MCAP file",
+            why: "only MCAP files have attachments"
+          )
         )
 
     if name, do: take(store, name, opts), else: list(store, opts)

@@ -1,11 +1,14 @@
 defmodule Situ.CLI.Store.Care do
-  @moduledoc "The verbs of `situ store` that work on a store in its place: verify, repair, compact, delete, rename."
+  @moduledoc "The verbs of `situ store` that change a store in place: verify, repair, compact, delete, rename."
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}
   alias Situ.CLI.Store.{Arguments, Health}
   alias Situ.Store
 
-  @store [kind: :recording, doc: "a store's folder, or ROOT/NAME for the newest NAME.NNNN"]
+  @store [
+    kind: :recording,
+    doc: "a store's folder, or ROOT/NAME for its newest version NAME.NNNN"
+  ]
 
   @impl true
   def verbs do
@@ -13,7 +16,7 @@ defmodule Situ.CLI.Store.Care do
       %Verb{
         words: ["store", "verify"],
         aliases: ["doctor"],
-        summary: "check every checksum; status 1 when anything is damaged",
+        summary: "check all checksums; status 1 if anything is damaged",
         arguments: [path: Keyword.put(@store, :many, true)],
         examples: ["situ store verify 'recordings/*'"],
         run: fn %{path: paths}, opts -> Health.verify(Recording.expand(paths), opts) end
@@ -21,16 +24,16 @@ defmodule Situ.CLI.Store.Care do
       %Verb{
         words: ["store", "repair"],
         aliases: ["recover", "reindex"],
-        summary: "repair a store that was not closed, or is damaged; sound data stays",
+        summary: "repair a store that is damaged or was not closed; intact data is kept",
         about: """
-        A store is repaired in its place. An MCAP file stays as it is: all messages that can be read, before and after
-        the damage, are copied byte for byte into OUT, which has an index.
+        A store is repaired in place. An MCAP file is not changed: all readable messages, before and after the damage,
+        are copied byte for byte into OUT, which gets an index.
         """,
         arguments: [
           path: @store,
-          out: [kind: :file, optional: true, doc: "of an MCAP file: the new one"]
+          out: [kind: :file, optional: true, doc: "the new file (only for an MCAP file)"]
         ],
-        options: [Option.new(:dry_run, :flag, "only say what it would do")],
+        options: [Option.new(:dry_run, :flag, "only print the planned repairs")],
         examples: [
           "situ store repair recordings/lobby.0007",
           "situ store repair broken.mcap whole.mcap"
@@ -39,19 +42,23 @@ defmodule Situ.CLI.Store.Care do
       },
       %Verb{
         words: ["store", "compact"],
-        summary: "rewrite a store in its place, with full chunks instead of many small commits",
+        summary: "rewrite a store in place, with full chunks instead of many small commits",
         about: """
-        The recording becomes smaller and faster to read; its messages stay as they are. It keeps its name all the time,
-        so nothing is lost if the program is killed. The disk needs room for a second copy. A store that is being
-        written is refused.
+        The recording becomes smaller and faster to read; its messages do not change. It keeps its name at all times,
+        so nothing is lost if the program is killed. The disk needs space for a second copy. A store that is being
+        written is rejected.
         """,
         arguments: [path: Keyword.put(@store, :many, true)],
         options: [
-          Option.new(:compression, ["none", "lz4", "zstd"], "of all streams; default: unchanged"),
+          Option.new(
+            :compression,
+            ["none", "lz4", "zstd"],
+            "for all streams (default: unchanged)"
+          ),
           Option.new(
             :skip_damage,
             :flag,
-            "leave out what is damaged; without it that is an error"
+            "omit damaged data; without this flag it is an error"
           )
         ],
         examples: ["situ store compact recordings/lobby.0000"],
@@ -66,8 +73,8 @@ defmodule Situ.CLI.Store.Care do
       },
       %Verb{
         words: ["store", "rename"],
-        summary: "give a store another name",
-        arguments: [path: @store, name: [kind: :text, doc: "its new name"]],
+        summary: "rename a store",
+        arguments: [path: @store, name: [kind: :text, doc: "the new name"]],
         examples: ["situ store rename recordings/lobby.0000 entrance"],
         run: &rename/2
       }
@@ -115,7 +122,7 @@ defmodule Situ.CLI.Store.Care do
     end
   end
 
-  # A store too broken to be opened can still be deleted.
+  # A store that is too damaged to open can still be deleted.
   defp folder!(path) do
     case Store.open(path) do
       {:ok, store} -> store.path

@@ -1,11 +1,11 @@
 defmodule Situ.CLI.Store.Contents do
   @moduledoc false
-  # `situ store info --show`: how an MCAP file is built.
+  # `situ store info --show`: prints the internal structure of an MCAP file.
   alias Situ.Bridge.Mcap
   alias Situ.CLI.Output
   alias Situ.{Error, Store, Time}
 
-  @doc "The parts of a file that can be shown."
+  @doc "Returns the names of the parts that can be shown."
   @spec parts() :: [String.t()]
   def parts, do: ~w(channels schemas chunks attachments metadata sizes)
 
@@ -17,9 +17,9 @@ defmodule Situ.CLI.Store.Contents do
       unless store.module == Mcap,
         do:
           raise(
-            Error.new(:no_parts, "#{path} is no MCAP file",
-              why: "only these have #{part}",
-              fix: "leave out --show"
+            Error.new(:no_parts, "#{path} is not an MCAP file",
+              why: "only MCAP files have #{part}",
+              fix: "omit --show"
             )
           )
 
@@ -55,7 +55,7 @@ defmodule Situ.CLI.Store.Contents do
             known = schemas |> Enum.take(8) |> Enum.map_join(", ", & &1.name)
 
             raise Error.new(:no_schema, "#{store.path} has no schema #{inspect(name)}",
-                    fix: "it has: #{known}"
+                    fix: "its schemas: #{known}"
                   )
 
           schema ->
@@ -108,7 +108,7 @@ defmodule Situ.CLI.Store.Contents do
     end)
   end
 
-  # A definition may be bytes: a set of descriptors of Protobuf.
+  # A definition may be binary, for example a set of Protobuf descriptors.
   defp plain(schema) do
     text? = String.valid?(schema.definition) and String.printable?(schema.definition)
     size = byte_size(schema.definition)

@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Store.Details do
   @moduledoc false
-  # Everything that is known of one stream.
+  # Prints all known properties of one stream.
   alias Situ.CLI.{Data, Output}
   alias Situ.{Store, Time}
   alias Situ.Store.StreamInfo
@@ -48,7 +48,7 @@ defmodule Situ.CLI.Store.Details do
   defp supplemental(store, %{supplemental: {type, _}} = info) do
     case Store.metadata(store, info) do
       {:ok, term} -> "#{Data.text(term)} (#{type})"
-      {:error, _} -> "of type #{type}, which is not known here"
+      {:error, _} -> "of type #{type}, which is not known on this machine"
     end
   end
 
@@ -74,16 +74,16 @@ defmodule Situ.CLI.Store.Details do
     case latency(store, info) do
       @not_real -> @not_real <> ": the messages were not created when they happened"
       "-" -> "unknown"
-      average -> "#{average} on average, #{Time.format_duration(info.latency_sum)} in all"
+      average -> "#{average} on average, #{Time.format_duration(info.latency_sum)} in total"
     end
   end
 
-  # Readers of other systems' files leave sizes and creation times that they do not know at 0 or nil.
+  # Readers of external files set unknown sizes and creation times to 0 or nil.
   defp known?(%{module: Store.Local}, _info, _value), do: true
   defp known?(_foreign, %{count: 0}, _value), do: true
   defp known?(_foreign, _info, value), do: value not in [nil, 0, 0.0]
 
-  @doc "Formats a size, as `-` if the reader does not know it."
+  @doc "Formats a size, or returns `-` if the reader does not know it."
   @spec format_bytes(Store.Handle.t(), StreamInfo.t(), number() | nil) :: String.t()
   def format_bytes(store, info, size) do
     if known?(store, info, size), do: Output.bytes(round(size || 0)), else: "-"
@@ -92,12 +92,12 @@ defmodule Situ.CLI.Store.Details do
   defp nil_if_unknown(store, info, value), do: if(known?(store, info, value), do: value)
 
   defp stored(info) do
-    lane = if info.large?, do: "each message by itself", else: "in chunks"
+    lane = if info.large?, do: "each message separately", else: "in chunks"
     codecs = for {_, {name, _}} <- info.codecs, do: ", codec #{name}"
     "#{lane}, compression #{info.compression}#{codecs}"
   end
 
-  @doc "Returns the stream for programs. Unknown values are `nil`."
+  @doc "Returns the properties of a stream for JSON output. Unknown values are `nil`."
   @spec json(Store.Handle.t(), StreamInfo.t()) :: map()
   def json(store, info) do
     info
@@ -127,7 +127,7 @@ defmodule Situ.CLI.Store.Details do
     end
   end
 
-  @doc "Messages a second."
+  @doc "Formats the number of messages per second."
   @spec rate(StreamInfo.t()) :: String.t()
   def rate(info) do
     case StreamInfo.rate(info) do
@@ -138,8 +138,8 @@ defmodule Situ.CLI.Store.Details do
   end
 
   @doc """
-  Formats the average latency. It means nothing for a replay that ran as fast as it could, whose messages were created
-  before they happened.
+  Formats the average latency. It is meaningless if a replay ran at full speed, because its messages have creation times
+  before their originating times.
   """
   @spec latency(Store.Handle.t(), StreamInfo.t()) :: String.t()
   def latency(store, info) do
@@ -152,10 +152,10 @@ defmodule Situ.CLI.Store.Details do
     end
   end
 
-  # Clocks that are not set begin at 1970, and so do replays without a date.
+  # Clocks that were never set start in 1970, and so do replays without a date.
   @first_real 946_684_800_000_000_000
 
-  @doc "Whether a time can have come from a clock that was set: it is after 2000."
+  @doc "Returns whether a time can come from a clock that was set, which means that it is after 2000."
   @spec real_time?(Time.t()) :: boolean()
   def real_time?(time), do: time >= @first_real
 end

@@ -1,10 +1,10 @@
 defmodule Situ.CLI.Store.Difference do
   @moduledoc false
-  # Two recordings compared: streams that one has alone, types, and message by message in the order of time.
+  # Compares two recordings: streams that exist in only one, types, and messages in order of time.
   alias Situ.CLI.Store.Tape
   alias Situ.Store
 
-  @doc "For each stream of either: what differs; `times_only` leaves creation times and numbers out."
+  @doc "Returns the differences of each stream. `envelopes: true` also compares creation times and sequence numbers."
   @spec of(Store.Handle.t(), Store.Handle.t(), keyword()) :: [map()]
   def of(a, b, opts) do
     left = Map.new(Store.streams(a), &{&1.name, &1})

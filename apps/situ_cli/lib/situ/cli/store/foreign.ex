@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Store.Foreign do
   @moduledoc false
-  # Files of other systems have no checksums that Situ knows of: verifying one is reading every message of it.
+  # External files have no checksums that Situ knows, so verifying such a file means reading all of its messages.
   alias Situ.CLI.Recording
   alias Situ.{Error, Store}
   alias Situ.Store.Undecoded
@@ -50,5 +50,5 @@ defmodule Situ.CLI.Store.Foreign do
   defp undecoded(_info, 0, _why), do: []
 
   defp undecoded(info, bad, why),
-    do: [%{why: "#{info.name}: #{bad} messages are not what their schema says (#{why})"}]
+    do: [%{why: "#{info.name}: #{bad} messages do not match their schema (#{why})"}]
 end

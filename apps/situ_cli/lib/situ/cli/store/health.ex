@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Store.Health do
   @moduledoc false
-  # `situ store verify` and `repair`.
+  # Implements `situ store verify` and `situ store repair`.
   alias Situ.CLI.{Output, Progress}
   alias Situ.CLI.Store.{Foreign, Saving}
   alias Situ.{Error, Store}
@@ -12,7 +12,7 @@ defmodule Situ.CLI.Store.Health do
     if Enum.all?(reports, &match?({_, {:ok, %{damage: []}}}, &1)), do: 0, else: 1
   end
 
-  # One that is no store does not keep the others from being checked.
+  # A path that is not a store must not prevent the others from being checked.
   defp checked(path, opts, n) do
     result =
       Progress.show("verify", opts, fn progress ->
@@ -27,10 +27,10 @@ defmodule Situ.CLI.Store.Health do
   end
 
   defp text(prefix, _path, {:ok, %{chunks: chunks, damage: []}}),
-    do: Output.puts("#{prefix}#{chunks} chunks, all sound")
+    do: Output.puts("#{prefix}#{chunks} chunks, all intact")
 
   defp text(prefix, _path, {:ok, %{messages: messages, damage: []}}),
-    do: Output.puts("#{prefix}#{messages} messages, all can be read")
+    do: Output.puts("#{prefix}#{messages} messages, all readable")
 
   defp text(prefix, path, {:ok, %{messages: _, damage: damage}}) do
     Output.puts(prefix <> "DAMAGED")
@@ -41,15 +41,15 @@ defmodule Situ.CLI.Store.Health do
   defp text(prefix, path, {:ok, %{damage: damage}}) do
     Output.puts(prefix <> "DAMAGED")
     places(damage)
-    Output.puts("`situ store repair '#{path}'` keeps what is sound.")
+    Output.puts("`situ store repair '#{path}'` keeps the intact data.")
   end
 
   defp text(prefix, _path, {:error, error}), do: Output.puts(prefix <> error.what)
 
-  # Of much of the same in one file the first place, and how much it is.
+  # For repeated damage in one file, prints only the first position and the number of others.
   defp places(damage) do
     for [first | more] <- Enum.chunk_by(damage, &{&1.file, &1.why}) do
-      also = if more == [], do: "", else: " (and at #{length(more)} more places)"
+      also = if more == [], do: "", else: " (and at #{length(more)} more positions)"
       Output.puts("  #{first.file} at byte #{first.offset}: #{first.why}#{also}")
     end
   end
@@ -91,22 +91,22 @@ defmodule Situ.CLI.Store.Health do
     fix =
       cond do
         not mcap?(path) ->
-          "`situ store import --skip-damage '#{path}' NAME` makes a store of what can be read"
+          "run `situ store import --skip-damage '#{path}' NAME` to save the readable data in a store"
 
         out == nil ->
-          "`situ store recover '#{path}' '#{Path.rootname(path)}-recovered.mcap'` makes a new file of what can be read"
+          "run `situ store recover '#{path}' '#{Path.rootname(path)}-recovered.mcap'` to save the readable data"
 
         true ->
-          "name a new file that ends in .mcap, or make a store: `situ store import --skip-damage '#{path}' NAME`"
+          "name a new file that ends in .mcap, or create a store: `situ store import --skip-damage '#{path}' NAME`"
       end
 
-    Error.new(:not_a_store, "#{path} is a foreign file, which is left as it is", fix: fix)
+    Error.new(:not_a_store, "#{path} is an external file, which is never changed", fix: fix)
   end
 
   defp in_place_error(path) do
-    Error.new(:not_a_file, "#{path} is a store, which is repaired in its place",
+    Error.new(:not_a_file, "#{path} is a store, which is repaired in place",
       why: "only an MCAP file is recovered into another file",
-      fix: "`situ store repair '#{path}'`, or copy it first"
+      fix: "run `situ store repair '#{path}'`, or copy it first"
     )
   end
 
@@ -132,7 +132,7 @@ defmodule Situ.CLI.Store.Health do
       Output.json(report)
     else
       Output.puts(
-        "#{report.kept} chunks kept, #{report.recovered} of them found again, #{report.dropped} lost"
+        "#{report.kept} chunks kept (#{report.recovered} of them recovered), #{report.dropped} lost"
       )
 
       places(report.damage)
@@ -144,16 +144,16 @@ defmodule Situ.CLI.Store.Health do
   end
 
   defp describe_unconfirmed(n) do
-    "#{Output.number(n, "chunk")} at the end left out. Its data is sound, but the index is lost that would show " <>
+    "#{Output.number(n, "chunk")} at the end omitted. Its data is intact, but without the lost index it is unknown " <>
       "whether the writer had acknowledged it."
   end
 
   defp done(_report, true), do: "Nothing was changed (--dry-run)."
 
   defp done(%{rebuilt?: true}, _dry?),
-    do: "The index is new; the old one, if there was one, is kept as index.situ.before-repair."
+    do: "The index was rebuilt; an old one is kept as index.situ.before-repair."
 
-  defp done(_report, _dry?), do: "The store is whole and closed."
+  defp done(_report, _dry?), do: "The store is complete and closed."
 
   defp ok!({:ok, value}), do: value
   defp ok!({:error, error}), do: raise(error)

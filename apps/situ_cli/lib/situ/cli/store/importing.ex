@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Store.Importing do
-  @moduledoc "`situ store import` and `convert`: any file that is read into a store, or into any that is written."
+  @moduledoc "`situ store import` and `situ store convert`: import files into stores, and convert between formats."
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.Tables
   alias Situ.CLI.{Input, Option, Output, Progress, Recording, UnfinishedOutput, Verb}
@@ -21,13 +21,13 @@ defmodule Situ.CLI.Store.Importing do
     [
       %Verb{
         words: ["store", "import"],
-        summary: "make a store out of files of other programs",
+        summary: "create a store from files of other programs",
         about: """
-        Recordings (MCAP, bags, films, sound, CSV ...) as `situ store copy` makes them; of several, as `concat`. Tables
-        (Parquet, Arrow, Protobuf, and CSV, JSON and MessagePack as `situ store save` writes them) become a stream each,
-        called like the file. Of messages of ROS and Foxglove that become Situ's types, the header and the fields that
-        these have no place for (frames, covariances ...) are kept in a second stream, NAME.extra, and `situ store save`
-        puts them back.
+        Recordings (MCAP, bags, video, audio, CSV ...) are imported as by `situ store copy`, several of them as by
+        `concat`. Tables (Parquet, Arrow, Protobuf, and CSV, JSON and MessagePack as written by `situ store save`)
+        become one stream each, named after the file. When ROS and Foxglove messages are converted to Situ's types,
+        the header and the fields without a counterpart (frames, covariances ...) are kept in a second stream,
+        NAME.extra, and `situ store save` restores them.
         """,
         arguments: [
           path: [
@@ -39,12 +39,17 @@ defmodule Situ.CLI.Store.Importing do
         ],
         options:
           [
-            Option.new(:stream, :string, "of a table: its name; else the stream, or pattern",
+            Option.new(
+              :stream,
+              :string,
+              "the stream's name for a table, else a stream or pattern",
               short: :s,
               value: "NAME",
               many?: true
             ),
-            Option.new(:format, @formats |> Map.keys() |> Enum.sort(), "of tables", short: :m)
+            Option.new(:format, @formats |> Map.keys() |> Enum.sort(), "the format of tables",
+              short: :m
+            )
           ] ++ copying() ++ Protobuf.reading(),
         examples: [
           "situ store import drive.mcap recordings/drive",
@@ -56,11 +61,11 @@ defmodule Situ.CLI.Store.Importing do
       },
       %Verb{
         words: ["store", "convert"],
-        summary: "make a file or store of another kind out of any that is read",
+        summary: "convert a readable file or store to another format",
         about:
-          "The kind goes by the ending of OUT, as with `situ store save`; without a known one OUT is a store.",
+          "The extension of OUT selects the format, as with `situ store save`; without a known one OUT is a store.",
         arguments: [
-          path: [kind: :recording, doc: "a store, or a file of any kind that is read"],
+          path: [kind: :recording, doc: "a store, or a file in any readable format"],
           out: [
             kind: :file,
             doc: "the file (.mcap, .bag, .parquet, .csv ...), or ROOT/NAME of a store"
@@ -86,14 +91,14 @@ defmodule Situ.CLI.Store.Importing do
   defp copying do
     [
       Arguments.exclude(),
-      Option.new(:from, :time, "from this originating time on"),
-      Option.new(:to, :time, "up to this originating time; both ends are included"),
-      Option.new(:compression, ["none", "gzip", "lz4", "zstd"], "of what is made"),
-      Option.new(:skip_damage, :flag, "leave out what is damaged; without it that is an error"),
+      Option.new(:from, :time, "start at this originating time"),
+      Option.new(:to, :time, "end at this originating time; both ends are included"),
+      Option.new(:compression, ["none", "gzip", "lz4", "zstd"], "the compression of the output"),
+      Option.new(:skip_damage, :flag, "omit damaged data; without this flag it is an error"),
       Option.new(
         :times,
         ["header", "record"],
-        "for bags and MCAP files: take originating times from headers (default), or use the times of recording"
+        "bags and MCAP files: take originating times from headers (default), or from the recording times"
       )
     ]
   end
@@ -114,26 +119,28 @@ defmodule Situ.CLI.Store.Importing do
 
       _both ->
         throw(
-          {:usage,
-           "tables and recordings do not go into one store: import one kind, then the other"}
+          {:usage, "one store cannot contain both tables and recordings: import them separately"}
         )
     end
   end
 
-  defp format("-"), do: throw({:usage, "standard input in which format? Give --format"})
+  defp format("-"), do: throw({:usage, "standard input needs a format: give --format"})
   defp format(path), do: if(File.regular?(path), do: Tables.format(path))
 
   defp tables(tables, out, opts) do
     given? = fn name -> opts[name] not in [nil, false, []] end
 
     if name = Enum.find([:from, :to, :compression, :exclude], given?),
-      do: throw({:usage, "a table is imported as it is, without --#{name}: copy the store then"})
+      do:
+        throw(
+          {:usage, "--#{name} does not apply to tables: import the table, then copy the store"}
+        )
 
     named =
       case {tables, opts[:stream]} do
         {_, []} -> for {path, format} <- tables, do: {Tables.name(path), path, format}
         {[{path, format}], [name]} -> [{name, path, format}]
-        _ -> throw({:usage, "--stream names the stream of one table"})
+        _ -> throw({:usage, "--stream names the stream of a single table"})
       end
 
     named = for {name, path, format} <- named, do: {name(name), path, table(format, opts)}
@@ -155,7 +162,7 @@ defmodule Situ.CLI.Store.Importing do
 
   defp imported(named, out), do: import_named(named, out)
 
-  # Warns about columns that a table cannot keep.
+  # Prints a warning about each column that the table cannot keep.
   defp import_named(named, out), do: Tables.import(named, out, notice: &Output.warn/1)
 
   defp recordings(paths, out, opts) do
@@ -195,7 +202,7 @@ defmodule Situ.CLI.Store.Importing do
     end
   end
 
-  # A table is no recording: it becomes one on the way.
+  # A table is not a recording, so it is first imported into a temporary store.
   defp through_store(path, out, opts) do
     Situ.Scratch.with_folder("convert", fn root ->
       format = table(Tables.format(path), opts)

@@ -1,13 +1,13 @@
 defmodule Situ.CLI.Store.Info do
   @moduledoc false
-  # `situ store info`: what a person wants to know at a glance.
+  # `situ store info`: prints an overview of recordings.
   alias Situ.Bridge.Mcap
   alias Situ.{Store, Time}
   alias Situ.CLI.{Output, Recording}
   alias Situ.CLI.Store.Details
   alias Situ.Store.StreamInfo
 
-  @doc "Of one recording all, of several (or the recordings in a folder) a line each."
+  @doc "Prints the details of one recording, or one line for each of several recordings or those in a folder."
   @spec run([Path.t()], keyword()) :: 0 | 1
   def run([path], opts) do
     if folder?(path) or (opts[:json] && opts[:stream] == nil),
@@ -20,8 +20,7 @@ defmodule Situ.CLI.Store.Info do
   defp folder?(path),
     do: File.dir?(path) and not Store.exists?(path)
 
-  # Recordings that cannot be read are listed as errors. If the only recording asked for cannot be read, the command
-  # fails.
+  # Unreadable recordings are listed as errors. If the only given recording is unreadable, the command fails.
   defp list(paths, opts) do
     stores =
       Enum.flat_map(paths, &if(folder?(&1), do: Store.list(&1, recursive: true), else: [&1]))
@@ -98,21 +97,21 @@ defmodule Situ.CLI.Store.Info do
     end
   end
 
-  # The name of a recording in pieces opens the newest of them.
+  # The name of a recording with several segments opens the newest segment.
   defp pieces(store, %{piece: %{}, name: name}) do
     root = Path.dirname(store.path)
     count = Enum.count(Store.list(root), &(Store.Folder.name(&1) == name))
 
     if count > 1,
       do: [
-        "one of #{count} pieces of a recording: `situ store info '#{Path.join(root, name)}.*'`"
+        "segment of a recording in #{count} segments: `situ store info '#{Path.join(root, name)}.*'`"
       ],
       else: []
   end
 
   defp pieces(_store, _info), do: []
 
-  # Facts that files of other systems hold about themselves.
+  # Describes properties that external files contain about themselves.
   defp foreign(store, info) do
     written =
       [info[:written_by], info[:profile]]
@@ -138,20 +137,22 @@ defmodule Situ.CLI.Store.Info do
   defp attachments(%{module: Mcap} = store), do: Mcap.attachments(store)
   defp attachments(_store), do: []
 
-  # Only what Situ wrote has checksums to verify; of a foreign file the first places are all there is to say.
+  # Only Situ's own files have checksums to verify. For an external file, the first damaged positions are listed.
   defp damage(_store, %{damage: []}), do: []
 
   defp damage(%{module: Store.Local} = store, info),
-    do: ["in #{Output.number(length(info.damage), "place")}: `situ store verify '#{store.path}'`"]
+    do: [
+      "in #{Output.number(length(info.damage), "position")}: `situ store verify '#{store.path}'`"
+    ]
 
   defp damage(_store, info) do
     shown = for place <- Enum.take(info.damage, 5), do: told(place)
 
     more = length(info.damage) - length(shown)
-    shown ++ if(more > 0, do: ["at #{Output.number(more, "more place")}"], else: [])
+    shown ++ if(more > 0, do: ["at #{Output.number(more, "more position")}"], else: [])
   end
 
-  # Readers of other systems' files tell in sentences.
+  # Some readers of external files describe damage as a sentence.
   defp told(sentence) when is_binary(sentence), do: sentence
   defp told(place), do: "at byte #{place[:offset]}: #{place[:why]}"
 
@@ -175,7 +176,7 @@ defmodule Situ.CLI.Store.Info do
     ]
   end
 
-  # A gap is ten times the usual distance, and no less than a tenth of a second.
+  # A gap is longer than ten times the average period, and at least 100 ms.
   defp gaps(store, info) do
     case StreamInfo.rate(info) do
       nil ->
@@ -206,7 +207,9 @@ defmodule Situ.CLI.Store.Info do
 
   defp state(%{live?: true}), do: "being written"
   defp state(%{closed?: true}), do: "closed"
-  defp state(_), do: "not closed (its writer was killed; readable, `situ store repair` closes it)"
+
+  defp state(_),
+    do: "not closed (its writer was killed; it is readable, and `situ store repair` closes it)"
 
   defp json(store) do
     info = Store.info(store)

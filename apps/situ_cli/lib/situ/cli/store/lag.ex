@@ -1,11 +1,11 @@
 defmodule Situ.CLI.Store.Lag do
   @moduledoc false
-  # How far the messages of a stream lie behind the newest ones made before them, when all are read in the order of
-  # their originating times: a replay in that order waits so long for the stream.
+  # Measures how much older the messages of a stream are than the newest message before them, by creation time, when all
+  # streams are read in order of originating times. A replay in that order waits this long for the stream.
   alias Situ.CLI.Store.Tape
   alias Situ.Store
 
-  @doc "`[%{stream, average, most}]`, ns, those that lag most first by `order`."
+  @doc "Returns `[%{stream, average, most, messages}]` in ns, sorted by `order`, greatest lag first."
   @spec of(Store.Handle.t(), :average | :most) :: [map()]
   def of(store, order) do
     tagged =

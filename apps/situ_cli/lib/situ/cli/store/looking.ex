@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Store.Looking do
-  @moduledoc "The verbs of `situ store` that only look: info, messages, stats, analyze, diff."
+  @moduledoc "The verbs of `situ store` that only read: info, messages, stats, analyze, diff."
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Recording, Verb}
   alias Situ.CLI.Store.{Arguments, Contents, Difference, Info, Lag, Messages, Statistics}
@@ -7,7 +7,7 @@ defmodule Situ.CLI.Store.Looking do
 
   @recording [
     kind: :recording,
-    doc: "a store's folder, ROOT/NAME for the newest NAME.NNNN, or a foreign file"
+    doc: "a store's folder, ROOT/NAME for its newest version NAME.NNNN, or an external file"
   ]
 
   @impl true
@@ -18,8 +18,8 @@ defmodule Situ.CLI.Store.Looking do
         aliases: ["list", "ls"],
         summary: "list the streams of a recording: types, rates, gaps, sizes, latency",
         about: """
-        Of several recordings, or of a folder of recordings, a line each. The gaps are those between chunks of the file;
-        `situ store stats` looks at every message. --json prints a list of recordings, even of a single one;
+        Several recordings, or a folder of recordings, are listed one per line. Gaps are measured between chunks of the
+        file; `situ store stats` measures every message. --json prints a list of recordings, even for a single one;
         with --stream it prints that stream.
         """,
         arguments: [path: Keyword.put(@recording, :many, true)],
@@ -27,11 +27,15 @@ defmodule Situ.CLI.Store.Looking do
           Option.new(
             :stream,
             :string,
-            "all that is known of one stream (of a schema: its definition)",
+            "all details of one stream (with --show schemas: a schema's definition)",
             short: :s,
             value: "NAME"
           ),
-          Option.new(:show, Contents.parts(), "of an MCAP file: these, in place of the streams")
+          Option.new(
+            :show,
+            Contents.parts(),
+            "MCAP: show this part of the file instead of the streams"
+          )
         ],
         examples: [
           "situ store info recordings/lobby",
@@ -49,18 +53,21 @@ defmodule Situ.CLI.Store.Looking do
           Option.new(
             :stream,
             :string,
-            "a stream, or a pattern ('Room.*'); default: all. Messages come in the order of time",
+            "a stream, or a pattern ('Room.*'); default: all, in order of time",
             short: :s,
             value: "NAME",
             many?: true
           ),
-          Option.new(:number, :integer, "so many messages; 0 is all", short: :n, default: 10),
-          Option.new(:from, :time, "from this originating time on"),
-          Option.new(:to, :time, "up to this originating time"),
+          Option.new(:number, :integer, "the number of messages; 0 for all",
+            short: :n,
+            default: 10
+          ),
+          Option.new(:from, :time, "start at this originating time"),
+          Option.new(:to, :time, "end at this originating time"),
           Option.new(
             :skip_damage,
             :flag,
-            "leave out what is damaged; without it that is an error"
+            "omit damaged data; without this flag it is an error"
           )
         ],
         examples: [
@@ -72,14 +79,14 @@ defmodule Situ.CLI.Store.Looking do
       %Verb{
         words: ["store", "stats"],
         summary: "measure every stream: periods, jitter, gaps, latency percentiles",
-        about: "Reads the times of every message. Percentiles are right within half a percent.",
+        about: "Reads the times of every message. Percentiles are accurate to half a percent.",
         arguments: [path: @recording],
         options: [
           Option.new(:stream, :string, "only this stream", short: :s, value: "NAME", many?: true),
           Option.new(
             :gap,
             :span,
-            "a longer pause is a gap (default: ten times the stream's period, at least 100 ms)"
+            "count longer pauses as gaps (default: ten times the stream's period, at least 100 ms)"
           )
         ],
         examples: ["situ store stats recordings/lobby --gap 1s"],
@@ -87,9 +94,9 @@ defmodule Situ.CLI.Store.Looking do
       },
       %Verb{
         words: ["store", "analyze"],
-        summary: "find the streams that lag behind the others, in the order of time",
+        summary: "find streams whose messages arrive late compared to other streams",
         about:
-          "A replay in the order of originating times waits that long, in creation time, for a message of the stream.",
+          "The lag is how long a replay in order of originating times waits for the stream, in creation time.",
         arguments: [path: @recording],
         options: [
           Option.new(:order, ["avg", "max"], "sort by the average or the greatest lag",
@@ -102,9 +109,11 @@ defmodule Situ.CLI.Store.Looking do
       },
       %Verb{
         words: ["store", "diff"],
-        summary: "compare two recordings, message by message; status 1 when they differ",
+        summary: "compare two recordings, message by message; status 1 if they differ",
         arguments: [first: @recording, second: @recording],
-        options: [Option.new(:envelopes, :flag, "creation times and sequence numbers count too")],
+        options: [
+          Option.new(:envelopes, :flag, "also compare creation times and sequence numbers")
+        ],
         examples: ["situ store diff recordings/lobby.0000 recordings/lobby.0001"],
         run: &diff/2
       }
@@ -121,7 +130,7 @@ defmodule Situ.CLI.Store.Looking do
   end
 
   defp messages(%{path: path}, opts) do
-    if (opts[:number] || 0) < 0, do: throw({:usage, "--number is 0 or more"})
+    if (opts[:number] || 0) < 0, do: throw({:usage, "--number must be 0 or greater"})
     store = Recording.open!(path)
     names = for info <- Arguments.chosen!(store, opts), do: info.name
     Messages.run(store, names, opts)
@@ -215,7 +224,7 @@ defmodule Situ.CLI.Store.Looking do
 
     if same?, do: 0, else: 1
   rescue
-    # Damage is no difference, but nothing was compared behind it.
+    # Damage is reported as an error, not as a difference, because nothing after it was compared.
     error in Error -> raise error
   end
 

@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Store.Making do
   @moduledoc """
-  The verbs of `situ store` that make a new recording out of others: copy, crop, concat, split, remove, edit.
+  The verbs of `situ store` that create new recordings from others: copy, crop, concat, split, remove, edit.
   """
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}
@@ -9,16 +9,16 @@ defmodule Situ.CLI.Store.Making do
 
   @recording [
     kind: :recording,
-    doc: "a store's folder, ROOT/NAME for the newest NAME.NNNN, or a foreign file"
+    doc: "a store's folder, ROOT/NAME for its newest version NAME.NNNN, or an external file"
   ]
   @new [kind: :new, doc: "ROOT/NAME of the new store; it becomes NAME.NNNN"]
   @about """
-  The original is never changed. The new store gets its name when it is complete and on the disk; stopped half way
-  (Ctrl-C), nothing is left.
+  The original is never changed. The new store gets its name only when it is complete and on disk; if the command is
+  stopped (Ctrl-C), it leaves nothing.
   """
 
   @new_file [kind: :new, doc: "ROOT/NAME of the new store, or a file (.mcap, .bag, .csv ...)"]
-  @mcap "An MCAP file of another keeps every byte of its messages, their times, schemas and attachments."
+  @mcap "An MCAP file copied to another keeps every byte of its messages, their times, schemas and attachments."
 
   @impl true
   def verbs do
@@ -26,13 +26,13 @@ defmodule Situ.CLI.Store.Making do
       [
         %Verb{
           words: ["store", "crop"],
-          summary: "make a new store with an interval of a recording",
+          summary: "create a store with an interval of a recording",
           about: @about,
           arguments: [path: @recording, out: @new_file],
           options:
             [
-              Option.new(:start, :span, "so long behind the recording's first message"),
-              Option.new(:length, :span, "so long from there")
+              Option.new(:start, :span, "start this long after the recording's first message"),
+              Option.new(:length, :span, "the length of the interval")
             ] ++ interval() ++ Arguments.streams() ++ storing(),
           examples: ["situ store crop recordings/lobby lunch --start 30m --length 10m"],
           run: &crop/2
@@ -40,7 +40,8 @@ defmodule Situ.CLI.Store.Making do
         %Verb{
           words: ["store", "concat"],
           aliases: ["merge"],
-          summary: "make one store out of several; streams of one name follow each other in time",
+          summary:
+            "concatenate several recordings into one store; streams of the same name are joined",
           about: @about,
           arguments: [path: Keyword.put(@recording, :many, true), out: @new],
           options: Arguments.streams() ++ interval() ++ storing(),
@@ -57,15 +58,16 @@ defmodule Situ.CLI.Store.Making do
           about: @about,
           arguments: [path: @recording, out: @new],
           options:
-            [Option.new(:every, :span, "the length of each")] ++ Arguments.streams() ++ storing(),
+            [Option.new(:every, :span, "the length of each store")] ++
+              Arguments.streams() ++ storing(),
           examples: ["situ store split recordings/day hours --every 1h"],
           run: &split/2
         },
         %Verb{
           words: ["store", "remove"],
           aliases: ["remove-stream", "removestream"],
-          summary: "make the next version of a store, without some of its streams",
-          about: "The version before it stays: `situ store delete` removes it.",
+          summary: "create the next version of a store, without some of its streams",
+          about: "The previous version is kept; `situ store delete` deletes it.",
           arguments: [
             path: @recording,
             stream: [kind: :text, many: true, doc: "names or patterns of streams"]
@@ -76,15 +78,15 @@ defmodule Situ.CLI.Store.Making do
         },
         %Verb{
           words: ["store", "edit"],
-          summary: "make a new store with single messages changed or deleted",
+          summary: "create a store with individual messages changed or deleted",
           about: @about,
           arguments: [path: @recording, out: @new],
           options: [
-            Option.new(:set, :string, "puts a message there",
+            Option.new(:set, :string, "add or replace the message at this time",
               value: "STREAM@TIME=JSON",
               many?: true
             ),
-            Option.new(:delete, :string, "deletes the message there",
+            Option.new(:delete, :string, "delete the message at this time",
               value: "STREAM@TIME",
               many?: true
             ),
@@ -100,18 +102,18 @@ defmodule Situ.CLI.Store.Making do
 
   defp copies do
     [
-      copy_verb("copy", "make a new store or file with all or some streams of a recording", [
+      copy_verb("copy", "create a store or file with all or some streams of a recording", [
         "situ store copy talk1.mp4 recordings/talk",
         "situ store copy recordings/lobby small --exclude 'Lobby.Video*' --compression zstd",
         "situ store copy drive.mcap imu.mcap -s '/imu/*'"
       ]),
-      copy_verb("compress", "copy, compressed by zstd where no --compression is given", [
+      copy_verb("compress", "copy with compression (zstd unless --compression is given)", [
         "situ store compress drive.mcap small.mcap"
       ]),
       copy_verb("decompress", "copy without compression", [
         "situ store decompress small.mcap drive.mcap"
       ]),
-      copy_verb("sort", "copy; messages of an MCAP file are put in order of log time", [
+      copy_verb("sort", "copy, and sort the messages of an MCAP file by log time", [
         "situ store sort drive.mcap sorted.mcap"
       ])
     ]
@@ -135,48 +137,48 @@ defmodule Situ.CLI.Store.Making do
   defp put_defaults("sort", opts), do: Keyword.put(opts, :order, :time)
   defp put_defaults("copy", opts), do: opts
 
-  # The extension of a file chooses its format, as with `situ store save`.
+  # The file's extension selects the format, as with `situ store save`.
   defp copy(%{path: path, out: out}, opts) do
     if Saving.format(out),
       do: Saving.save(%{path: path, file: out}, opts),
       else: made([path], out, opts, &Store.copy(path, out, copying(opts, &1)))
   end
 
-  # Some verbs make only stores.
+  # Some verbs can only create stores.
   defp check_store!(verb, out) do
     if Saving.format(out) do
       raise Error.new(
               :not_a_store,
-              "`situ store #{verb}` makes a store, not #{Path.basename(out)}",
+              "`situ store #{verb}` creates a store, not #{Path.basename(out)}",
               fix:
-                "make a store, then `situ store convert STORE #{out}`; copy, filter, compress, sort and crop " <>
-                  "make files too"
+                "create a store, then run `situ store convert STORE #{out}`; copy, filter, compress, sort and crop " <>
+                  "can create files as well"
             )
     end
   end
 
   defp interval do
     [
-      Option.new(:from, :time, "from this originating time on"),
-      Option.new(:to, :time, "up to this originating time; both ends are included")
+      Option.new(:from, :time, "start at this originating time"),
+      Option.new(:to, :time, "end at this originating time; both ends are included")
     ]
   end
 
   defp storing do
     [
-      Option.new(:compression, ["none", "lz4", "zstd"], "of the new store; default: unchanged"),
+      Option.new(:compression, ["none", "lz4", "zstd"], "for the new store (default: unchanged)"),
       skip_damage()
     ]
   end
 
   defp skip_damage,
-    do: Option.new(:skip_damage, :flag, "leave out what is damaged; without it that is an error")
+    do: Option.new(:skip_damage, :flag, "omit damaged data; without this flag it is an error")
 
   defp copying(opts, progress), do: [{:empty, :refuse} | Arguments.copying(opts, progress)]
 
   defp crop(%{path: path, out: out}, opts) do
     if Keyword.take(opts, [:from, :to, :start, :length]) == [],
-      do: throw({:usage, "to what? Give --start and --length, or --from and --to"})
+      do: throw({:usage, "no interval given: give --start and --length, or --from and --to"})
 
     if Saving.format(out),
       do: Saving.save(%{path: path, file: out}, Arguments.absolute_interval!(path, opts)),
@@ -192,9 +194,9 @@ defmodule Situ.CLI.Store.Making do
   end
 
   defp split(%{path: path, out: out}, opts) do
-    every = opts[:every] || throw({:usage, "into which lengths? Give --every SPAN"})
+    every = opts[:every] || throw({:usage, "no length given: give --every SPAN"})
     check_store!("split", out)
-    if every <= 0, do: throw({:usage, "--every is more than nothing"})
+    if every <= 0, do: throw({:usage, "--every must be greater than 0"})
     store = Recording.open!(path)
 
     paths =
@@ -214,7 +216,7 @@ defmodule Situ.CLI.Store.Making do
         do: made
   end
 
-  # An interval without messages makes no part.
+  # No store is created for an interval without messages.
   defp make_part(path, name, {from, to}, opts) do
     UnfinishedOutput.remove_store_at_exit(name)
 
@@ -234,8 +236,10 @@ defmodule Situ.CLI.Store.Making do
     kept = Enum.filter(Store.streams(store), streams)
 
     if length(kept) == length(Store.streams(store)) do
-      raise Error.new(:no_stream, "no stream of #{store.path} fits #{Enum.join(unwanted, ", ")}",
-              fix: "`situ store info` lists them"
+      raise Error.new(
+              :no_stream,
+              "no stream of #{store.path} matches #{Enum.join(unwanted, ", ")}",
+              fix: "run `situ store info` to list its streams"
             )
     end
 
@@ -249,7 +253,7 @@ defmodule Situ.CLI.Store.Making do
 
     case Arguments.edits!(Recording.open!(path), opts) do
       none when none == %{} ->
-        throw({:usage, "which changes? Give --set or --delete"})
+        throw({:usage, "no changes given: give --set or --delete"})
 
       edits ->
         made(

@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Store.Messages do
   @moduledoc false
-  # `situ store messages`: a line for each; of several streams in the order of time, with their names.
+  # `situ store messages`: prints one line per message. Several streams are merged in order of time and labeled.
   alias Situ.CLI.{Data, Output}
   alias Situ.CLI.Store.{Arguments, Tape}
   alias Situ.{Message, Store, Time}

@@ -1,39 +1,42 @@
 defmodule Situ.CLI.Store.Protobuf do
   @moduledoc false
-  # The options of Protobuf files, whose messages mean something by their definition only.
+  # The options for Protobuf files, whose messages can only be decoded with their definition.
   alias Situ.Bridge.Protobuf
   alias Situ.CLI.Option
   alias Situ.Error
 
-  @doc "For the verbs that write such files, and for those that read them."
+  @doc "Returns the options of verbs that read or write Protobuf files."
   @spec options() :: [Option.t()]
   def options do
     [
-      Option.new(:type, :string, "Protobuf: the messages' type", value: "PACKAGE.MESSAGE"),
+      Option.new(:type, :string, "Protobuf: the type of the messages", value: "PACKAGE.MESSAGE"),
       Option.new(
         :definition,
         :path,
-        "Protobuf: its .proto or FileDescriptorSet (default: FILE.desc, else Foxglove's messages)",
+        "Protobuf: the .proto file or FileDescriptorSet (default: FILE.desc, else Foxglove's messages)",
         value: "FILE"
       ),
-      Option.new(:time, :string, "Protobuf: the field with the originating time, as header.stamp",
+      Option.new(
+        :time,
+        :string,
+        "Protobuf: the field with the originating time, for example header.stamp",
         value: "FIELD"
       )
     ]
   end
 
-  @doc "`every:` for files whose messages have no time."
+  @doc "Returns these options and `every:`, for files whose messages have no time."
   @spec reading() :: [Option.t()]
   def reading do
     options() ++
-      [Option.new(:every, :span, "Protobuf, for messages without a time: from one to the next")]
+      [Option.new(:every, :span, "Protobuf: the interval between messages that have no time")]
   end
 
-  @doc "The options of `Situ.Bridge.Protobuf.File` by those of the verb."
+  @doc "Converts the verb's options to options of `Situ.Bridge.Protobuf.File`."
   @spec given(keyword()) :: keyword()
   def given(opts) do
     unless opts[:type],
-      do: throw({:usage, "of which type are the messages? Give --type PACKAGE.MESSAGE"})
+      do: throw({:usage, "the type of the messages is missing: give --type PACKAGE.MESSAGE"})
 
     definition = if path = opts[:definition], do: read!(path)
 
@@ -50,12 +53,12 @@ defmodule Situ.CLI.Store.Protobuf do
       {:error, reason} ->
         raise Error.new(:io, "cannot read #{path}",
                 why: to_string(:file.format_error(reason)),
-                fix: "--definition names a .proto file, or one that `protoc -o` has made"
+                fix: "--definition needs a .proto file, or the output of `protoc -o`"
               )
     end
   end
 
-  @doc "Writes a stream's messages, `reading` of it as for `Situ.Store.messages/3`."
+  @doc "Writes a stream's messages to a file; `reading` has the options of `Situ.Store.messages/3`."
   @spec save(
           Situ.Store.t(),
           Situ.Store.StreamInfo.t(),

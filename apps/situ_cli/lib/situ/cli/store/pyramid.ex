@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Store.Pyramid do
-  @moduledoc "`situ store pyramid`: the summaries by which a timeline is drawn at any zoom."
+  @moduledoc "`situ store pyramid`: shows or builds the summaries from which timelines are drawn at any zoom level."
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
   alias Situ.CLI.Store.Arguments
@@ -12,24 +12,25 @@ defmodule Situ.CLI.Store.Pyramid do
       %Verb{
         words: ["store", "pyramid"],
         summary:
-          "show a recording's summaries at a zoom, or build those that a file of others lacks",
+          "show a recording's summaries at a zoom level, or build them for an external file",
         about: """
-        A store has its pyramids (least, greatest, last value and number of messages in bins of 2^k ns) from the time at
-        which it was written. For files of other systems they are made by reading; --build makes a store that has them.
+        A store's pyramids (minimum, maximum, last value and message count in bins of 2^k ns) are built while it is
+        written. For external files they are computed by reading the file; --build creates a store that contains them.
         """,
         arguments: [
           path: [
             kind: :recording,
-            doc: "a store's folder, ROOT/NAME for the newest NAME.NNNN, or a foreign file"
+            doc:
+              "a store's folder, ROOT/NAME for its newest version NAME.NNNN, or an external file"
           ]
         ],
         options:
           Arguments.streams() ++
             [
-              Option.new(:from, :time, "from this originating time on"),
-              Option.new(:to, :time, "up to this originating time"),
-              Option.new(:pixels, :integer, "in so many columns at most", default: 20),
-              Option.new(:build, :path, "make ROOT/NAME, a store with pyramids of all streams",
+              Option.new(:from, :time, "start at this originating time"),
+              Option.new(:to, :time, "end at this originating time"),
+              Option.new(:pixels, :integer, "the maximum number of columns", default: 20),
+              Option.new(:build, :path, "create ROOT/NAME, a store with pyramids of all streams",
                 value: "OUT"
               )
             ],
@@ -44,7 +45,7 @@ defmodule Situ.CLI.Store.Pyramid do
   end
 
   defp run(%{path: path}, opts) do
-    unless opts[:pixels] in 1..100_000, do: throw({:usage, "--pixels is 1 to 100000"})
+    unless opts[:pixels] in 1..100_000, do: throw({:usage, "--pixels must be 1 to 100000"})
     store = Recording.open!(path)
     chosen = Arguments.chosen!(store, opts)
     if opts[:build], do: build(path, opts), else: look(store, chosen, opts)
@@ -53,7 +54,7 @@ defmodule Situ.CLI.Store.Pyramid do
   defp build(path, opts) do
     copied =
       Progress.show("build", opts, fn progress ->
-        # The bins must be those of the file itself.
+        # Recording times are kept, so that the bins match the bins of the file itself.
         Store.copy(path, opts[:build], [times: :record] ++ Arguments.copying(opts, progress))
       end)
 
@@ -77,7 +78,7 @@ defmodule Situ.CLI.Store.Pyramid do
 
   defp summary(store, info, stored?, opts) do
     {from, to} = {opts[:from] || info.first, opts[:to] || info.last}
-    if from > to, do: throw({:usage, "nothing lies between the times given"})
+    if from > to, do: throw({:usage, "no messages between the given times"})
     began = System.monotonic_time(:microsecond)
     summary = Error.unwrap!(Summary.read(store, info.name, from, to, opts[:pixels]))
 

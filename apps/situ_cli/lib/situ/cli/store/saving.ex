@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Store.Saving do
-  @moduledoc "`situ store save`: messages to files that other programs read."
+  @moduledoc "`situ store save`: writes messages to files that other programs can read."
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.{Arrow, Format, Mcap, Parquet, Ros}
   alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}
@@ -29,7 +29,7 @@ defmodule Situ.CLI.Store.Saving do
     ".mcap" => :mcap,
     ".bag" => :bag
   }
-  # These hold whole recordings.
+  # Files of these formats contain complete recordings.
   @recordings %{mcap: Mcap, bag: Ros.Bag}
   @tables %{parquet: Parquet, arrow: Arrow}
 
@@ -40,16 +40,18 @@ defmodule Situ.CLI.Store.Saving do
         words: ["store", "save"],
         aliases: ["export"],
         summary:
-          "write messages to a file of another kind: CSV, JSON, MessagePack, Parquet, Arrow, Protobuf, MCAP, ROS 1 bag",
+          "export messages to a file: CSV, JSON, MessagePack, Parquet, Arrow, Protobuf, MCAP, ROS 1 bag",
         about: """
-        MCAP files and bags hold all streams, or those chosen; the other files one stream, tables with --on several,
-        joined on time. The layouts of CSV, JSON and MessagePack are those of Situ.Bridge.Format, which \\psi reads
-        and writes too. Plain numbers go to CSV, Parquet and Arrow a million a second and faster.
+        MCAP files and bags contain all or the selected streams. Other files contain one stream; with --on, a table
+        contains several streams, joined on time. CSV, JSON and MessagePack have the layouts of Situ.Bridge.Format,
+        which \\psi reads and writes as well. Plain numbers are written to CSV, Parquet and Arrow at a million per
+        second or more.
         """,
         arguments: [
           path: [
             kind: :recording,
-            doc: "a store's folder, ROOT/NAME for the newest NAME.NNNN, or a foreign file"
+            doc:
+              "a store's folder, ROOT/NAME for its newest version NAME.NNNN, or an external file"
           ],
           file: [
             kind: :file,
@@ -64,25 +66,37 @@ defmodule Situ.CLI.Store.Saving do
               Option.new(
                 :format,
                 @formats |> Map.keys() |> Enum.sort(),
-                "whatever the file's ending",
+                "the format, regardless of the file's extension",
                 short: :m
               ),
-              Option.new(:from, :time, "from this originating time on"),
-              Option.new(:to, :time, "up to this originating time"),
+              Option.new(:from, :time, "start at this originating time"),
+              Option.new(:to, :time, "end at this originating time"),
               Option.new(
                 :compression,
                 ["none", "gzip", "lz4", "zstd"],
-                "of Parquet (none, gzip), MCAP (none, lz4, zstd) and bags (none, lz4)"
+                "for Parquet (none, gzip), MCAP (none, lz4, zstd) and bags (none, lz4)"
               ),
               Option.new(
                 :on,
                 :string,
-                "Parquet, Arrow: all streams in one table, a row for each message of this one",
+                "Parquet, Arrow: all streams in one table, with a row for each message of this stream",
                 value: "STREAM"
               ),
-              Option.new(:latest, :flag, "with --on: the others' last values, not the nearest"),
-              Option.new(:within, :span, "with --on: values further away are missing"),
-              Option.new(:skip_damage, :flag, "leave out what is damaged; else that is an error")
+              Option.new(
+                :latest,
+                :flag,
+                "with --on: take other streams' latest values, not the nearest"
+              ),
+              Option.new(
+                :within,
+                :span,
+                "with --on: leave cells empty if no value is this close"
+              ),
+              Option.new(
+                :skip_damage,
+                :flag,
+                "omit damaged data; without this flag it is an error"
+              )
             ] ++ Arguments.carried() ++ Protobuf.options(),
         examples: [
           "situ store save recordings/lobby levels.csv -s Lobby.Level",
@@ -95,17 +109,17 @@ defmodule Situ.CLI.Store.Saving do
     ]
   end
 
-  @doc "The format of a file by its ending, or `nil`."
+  @doc "Returns the format of a file by its extension, or `nil`."
   @spec format(Path.t()) :: atom()
   def format(file), do: @endings[file |> Path.extname() |> String.downcase()]
 
-  @doc "Writes the file; the arguments and options of the verb."
+  @doc "Writes the file; takes the arguments and options of the verb."
   @spec save(map(), keyword()) :: 0
   def save(%{path: path, file: file}, opts) do
     format = @formats[opts[:format]] || format(file)
 
     unless format,
-      do: throw({:usage, "in which format? Give --format, or a file that ends in #{endings()}"})
+      do: throw({:usage, "unknown format: give --format, or a file that ends in #{endings()}"})
 
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
     store = Recording.open!(path)
@@ -123,7 +137,7 @@ defmodule Situ.CLI.Store.Saving do
     0
   end
 
-  # An MCAP file made of another one is copied record by record.
+  # An MCAP file is copied to another MCAP file record by record.
   defp save(:mcap, %{module: Mcap} = store, chosen, file, opts, progress) do
     alone!(opts)
     refuse_stdout!(file, :mcap)
@@ -135,7 +149,7 @@ defmodule Situ.CLI.Store.Saving do
     copying = [streams: names] ++ Keyword.take(opts, [:order]) ++ reading(opts)
 
     copied = write_whole!(file, &Mcap.copy(store, &1, copying ++ written ++ carried))
-    for sentence <- copied.left_out, do: Output.warn("Left out: " <> sentence)
+    for sentence <- copied.left_out, do: Output.warn("Omitted: " <> sentence)
     Map.put(copied, :streams, length(chosen))
   end
 
@@ -193,7 +207,7 @@ defmodule Situ.CLI.Store.Saving do
     do: %{messages: ok!(module.write(store, info.name, file, written)), stream: info.name}
 
   defp table(on, module, {store, _info, chosen}, file, opts, written) do
-    # Without a choice it is every stream that can be in a table.
+    # If no streams are selected, the table contains every stream that fits into a table.
     all? = (opts[:stream] || []) == [] and (opts[:exclude] || []) == []
     joining = [on: on, streams: unless(all?, do: Enum.map(chosen, & &1.name))]
     joining = [take: if(opts[:latest], do: :latest, else: :nearest)] ++ joining
@@ -204,7 +218,7 @@ defmodule Situ.CLI.Store.Saving do
   defp stream!(store, name), do: Error.unwrap!(Store.stream_info(store, name))
 
   defp alone!(opts) do
-    if opts[:on], do: throw({:usage, "--on makes one table: of Parquet or Arrow"})
+    if opts[:on], do: throw({:usage, "--on needs a table: Parquet or Arrow"})
   end
 
   defp carried(:mcap, opts),
@@ -212,14 +226,15 @@ defmodule Situ.CLI.Store.Saving do
 
   defp carried(format, opts) do
     if (opts[:attach] || []) != [] or (opts[:metadata] || []) != [],
-      do: throw({:usage, "#{format} has no attachments and metadata; MCAP has"})
+      do:
+        throw({:usage, "#{format} files cannot contain attachments or metadata; MCAP files can"})
 
     []
   end
 
   defp given_metadata(opts), do: Arguments.records!(opts[:metadata] || [])
 
-  # A record that cannot be written ends it, and a file that is not whole does not stay.
+  # A record that cannot be encoded stops the export, and the incomplete file is deleted.
   defp records(format, part, place, out) do
     Format.records(format, part, place)
   rescue
@@ -246,22 +261,22 @@ defmodule Situ.CLI.Store.Saving do
   defp unpackable(format) do
     known = Map.get(@packed, format, [])
 
-    fix =
-      if known == [], do: "pack the file with gzip", else: "it may be #{Enum.join(known, ", ")}"
+    fix = if known == [], do: "compress the file with gzip", else: "use #{Enum.join(known, ", ")}"
 
-    throw({:usage, "#{format} has no such --compression; #{fix}"})
+    throw({:usage, "#{format} does not support this --compression; #{fix}"})
   end
 
-  # These are written with an index at the end, and renamed when they are whole.
+  # These formats have an index at the end, and the file is renamed when it is complete.
   defp refuse_stdout!("-", format),
     do:
       throw(
-        {:usage, "#{format} goes to a file, not to standard output: it is whole at its end only"}
+        {:usage,
+         "#{format} cannot be written to standard output: such a file is complete only at its end"}
       )
 
   defp refuse_stdout!(_file, _format), do: :ok
 
-  # Written next to the file first, since the file may be the very recording that is read.
+  # Writes to a temporary file first, because the output may be the recording that is being read.
   defp write_whole!(file, write) do
     unfinished = file <> ".unfinished"
 
@@ -282,11 +297,11 @@ defmodule Situ.CLI.Store.Saving do
     names = several |> Enum.take(8) |> Enum.map_join(", ", & &1.name)
 
     raise Error.new(:ambiguous_stream, "#{store.path} has #{length(several)} streams",
-            fix: "choose one by --stream: #{names}"
+            fix: "choose one with --stream: #{names}"
           )
   end
 
-  # Written beside the file and renamed when it is whole; standard output goes past the VM's slow way to it.
+  # A temporary file is renamed when it is complete. Standard output is opened as a raw file, which is faster than IO.
   defp out("-"), do: {:stdout, open!("/dev/stdout", [:append])}
   defp out(path), do: {path, open!(path <> ".unfinished", [:write])}
 
@@ -313,7 +328,7 @@ defmodule Situ.CLI.Store.Saving do
 
         raise Error.new(:not_saved, "the file cannot be written",
                 why: to_string(:file.format_error(reason)),
-                fix: "make room, or write elsewhere"
+                fix: "free disk space, or write to another location"
               )
     end
   end
@@ -325,7 +340,7 @@ defmodule Situ.CLI.Store.Saving do
     renamed(path <> ".unfinished", path)
   end
 
-  # Synced before it gets its name, since the user may delete the original next.
+  # The file is synced before it is renamed, because the user may delete the original next.
   defp renamed(unfinished, path) do
     with :ok <- AtomicFile.sync(unfinished), :ok <- AtomicFile.rename(unfinished, path) do
       :ok

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Store.Sending do
-  @moduledoc "The verbs of `situ store` that speak with running programs: send and record."
+  @moduledoc "The verbs of `situ store` that exchange messages with running programs: send and record."
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Recording, Verb}
   alias Situ.CLI.Store.{Arguments, Wire}
@@ -7,7 +7,7 @@ defmodule Situ.CLI.Store.Sending do
 
   @recording [
     kind: :recording,
-    doc: "a store's folder, ROOT/NAME for the newest NAME.NNNN, or a foreign file"
+    doc: "a store's folder, ROOT/NAME for its newest version NAME.NNNN, or an external file"
   ]
 
   @impl true
@@ -18,32 +18,39 @@ defmodule Situ.CLI.Store.Sending do
         aliases: ["play"],
         summary: "replay a recording to other programs: ZeroMQ, MQTT, ROS 1, ROS 2",
         about: """
-        All streams, or those chosen, each as a topic of the stream's name; of one stream --topic is the topic, of
-        several it stands before their names. Names that ROS does not allow get _ where it wants letters and digits.
-        With --loop it goes on until Ctrl-C.
+        Sends all or the selected streams, each as a topic with the stream's name. --topic is the topic of a single
+        stream, or the prefix of the topics of several streams. In names that ROS does not allow, invalid characters
+        become _. With --loop, the replay repeats until Ctrl-C.
         """,
         arguments: [path: @recording],
         options:
           Arguments.streams("this stream, or a pattern ('Room.*'); default: all") ++
             Wire.options() ++
             [
-              Option.new(:topic, :string, "the topic, or what all topics begin with", short: :t),
+              Option.new(:topic, :string, "the topic, or the prefix of all topics", short: :t),
               Option.new(
                 :speed,
                 :float,
-                "1.0 is the speed of the recording; 0 as fast as possible",
+                "1.0 is the speed of the recording; 0 is as fast as possible",
                 value: "X",
                 default: 1.0
               ),
-              Option.new(:loop, :flag, "start over at the recording's end, until Ctrl-C"),
-              Option.new(:from, :time, "from this originating time on"),
-              Option.new(:to, :time, "up to this originating time"),
-              Option.new(:start, :span, "from so long behind the recording's beginning on"),
-              Option.new(:length, :span, "no more than so long"),
-              Option.new(:subscribers, :integer, "ZeroMQ, ROS 1: wait for so many of them first",
+              Option.new(:loop, :flag, "start over at the end of the recording, until Ctrl-C"),
+              Option.new(:from, :time, "start at this originating time"),
+              Option.new(:to, :time, "end at this originating time"),
+              Option.new(:start, :span, "start this long after the beginning of the recording"),
+              Option.new(:length, :span, "the length of the interval to send"),
+              Option.new(
+                :subscribers,
+                :integer,
+                "ZeroMQ, ROS 1: first wait for this many subscribers",
                 default: 1
               ),
-              Option.new(:skip_damage, :flag, "leave out what is damaged; else that is an error")
+              Option.new(
+                :skip_damage,
+                :flag,
+                "omit damaged data; without this flag it is an error"
+              )
             ],
         examples: [
           "situ store send recordings/lobby -s Lobby.Level -t level --speed 2",
@@ -56,18 +63,18 @@ defmodule Situ.CLI.Store.Sending do
         words: ["store", "record"],
         summary: "record topics of other programs into a store: ZeroMQ, MQTT, ROS 1, ROS 2",
         about: """
-        Every topic becomes a stream of its name. It ends after --length; Ctrl-C ends it at once, and the store opens as
-        one that was not closed (`situ store repair` closes it).
+        Every topic becomes a stream with the topic's name. Recording ends after --length. Ctrl-C ends it immediately;
+        the store is then readable but not closed (`situ store repair` closes it).
         """,
         arguments: [
           out: [kind: :new, doc: "ROOT/NAME of the new store; it becomes NAME.NNNN"],
-          topic: [kind: :text, many: true, doc: "the topics (MQTT: + and # may stand in them)"]
+          topic: [kind: :text, many: true, doc: "the topics (MQTT: + and # are allowed)"]
         ],
         options:
           Wire.options() ++
             [
-              Option.new(:length, :span, "stop after so long"),
-              Option.new(:number, :integer, "stop after so many messages", short: :n)
+              Option.new(:length, :span, "stop after this time"),
+              Option.new(:number, :integer, "stop after this many messages", short: :n)
             ],
         examples: [
           "situ store record recordings/drive /imu /camera/image_raw --system ros --length 1m",
@@ -129,7 +136,7 @@ defmodule Situ.CLI.Store.Sending do
   defp topic(name, streams, opts) when is_list(opts), do: topic(name, streams, Map.new(opts))
   defp topic(name, _streams, opts), do: (opts[:topic] || "") <> name
 
-  # The part of the recording that is played, as the pipeline's option.
+  # Returns the pipeline's option for the interval of the recording that is played.
   defp interval(store, streams, opts) do
     {first, last} = Store.interval(streams) || Store.interval(store)
     from = opts[:from] || (opts[:start] && first + opts[:start])
@@ -137,13 +144,13 @@ defmodule Situ.CLI.Store.Sending do
 
     cond do
       to != nil and opts[:loop] == true ->
-        throw({:usage, "--loop plays to the end: crop it first"})
+        throw({:usage, "--loop always plays to the end: crop the recording first"})
 
       from == nil and to == nil ->
         []
 
       (from || first) > (to || last) ->
-        throw({:usage, "nothing lies between the times given"})
+        throw({:usage, "no messages between the given times"})
 
       true ->
         [interval: {from || first, to || :unbounded}]

@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Store.Statistics do
   @moduledoc false
-  # Statistics of the timing of a stream's messages: one pass over the envelopes, in constant memory. Percentiles come
-  # from buckets 1 % wide, so they are right within half a percent.
+  # Measures the timing of a stream's messages, in one pass over the envelopes and in constant memory. Percentiles come
+  # from buckets that are 1 % wide, so they are accurate to half a percent.
   alias Situ.Store
 
   @width :math.log(1.01)
@@ -18,7 +18,7 @@ defmodule Situ.CLI.Store.Statistics do
             gap_time: 0,
             back: 0
 
-  @doc "Periods (mean, deviation, percentiles), gaps longer than `gap` ns, latencies; ns throughout."
+  @doc "Measures periods (mean, deviation, percentiles), gaps longer than `gap` ns, and latencies, all in ns."
   @spec of(Store.Handle.t(), Store.StreamInfo.t(), pos_integer() | nil) :: map()
   def of(store, info, gap) do
     gap = gap || default_gap(info)
@@ -26,7 +26,7 @@ defmodule Situ.CLI.Store.Statistics do
     messages |> Enum.reduce(%__MODULE__{}, &add(&1, &2, gap)) |> summary(info, gap)
   end
 
-  # Ten times the usual distance, and no less than a tenth of a second.
+  # Returns ten times the average period, and at least 100 ms.
   defp default_gap(info) do
     case Store.StreamInfo.rate(info) do
       nil -> 100_000_000
@@ -64,7 +64,7 @@ defmodule Situ.CLI.Store.Statistics do
     }
   end
 
-  # 0 and negative values have buckets of their own: mirrored ones.
+  # Zero has a separate bucket, and negative values have mirrored buckets.
   defp put(buckets, value), do: Map.update(buckets, bucket(value), 1, &(&1 + 1))
   defp bucket(0), do: {0, 0}
   defp bucket(value) when value > 0, do: {1, floor(:math.log(value) / @width)}

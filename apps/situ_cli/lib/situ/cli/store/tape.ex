@@ -1,10 +1,10 @@
 defmodule Situ.CLI.Store.Tape do
   @moduledoc false
-  # An enumerable read one by one, so that several can be held side by side.
+  # Reads an enumerable item by item, so that several can be read in step.
 
   @type t :: function() | nil
 
-  @doc "The first item and the rest, or `nil` at the end."
+  @doc "Returns the next item and the rest, or `nil` at the end."
   @spec next(Enumerable.t() | t()) :: {term(), t()} | nil
   def next(tape) when is_function(tape, 1), do: step(tape)
   def next(nil), do: nil
@@ -20,7 +20,7 @@ defmodule Situ.CLI.Store.Tape do
     end
   end
 
-  @doc "Several, by what `key` says of their items, each with its tag: an enumerable of `{tag, item}`."
+  @doc "Merges tagged enumerables in order of `key` and returns an enumerable of `{tag, item}`."
   @spec merge([{term(), Enumerable.t()}], (term() -> term())) :: Enumerable.t()
   def merge(tagged, key) do
     Stream.resource(

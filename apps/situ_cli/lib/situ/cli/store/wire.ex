@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Store.Wire do
   @moduledoc false
-  # The systems that `situ store send` and `record` speak with: where they are, and how a stream goes there.
+  # The systems that `situ store send` and `record` exchange messages with: addresses, publishers and subscribers.
   alias Situ.Bridge.{Mcap, Mqtt, Ros, Ros2, ZeroMQ}
   alias Situ.Bridge.Ros.{Definition, Library}
   alias Situ.CLI.Option
@@ -18,7 +18,10 @@ defmodule Situ.CLI.Store.Wire do
   @spec options() :: [Option.t()]
   def options do
     [
-      Option.new(:system, @systems, "which kind of programs", short: :y, default: "zeromq"),
+      Option.new(:system, @systems, "the system to exchange messages with",
+        short: :y,
+        default: "zeromq"
+      ),
       Option.new(
         :address,
         :string,
@@ -26,20 +29,23 @@ defmodule Situ.CLI.Store.Wire do
         short: :a,
         value: "ADDRESS"
       ),
-      Option.new(:format, @formats |> Map.keys() |> Enum.sort(), "of the messages (ZeroMQ, MQTT)",
+      Option.new(
+        :format,
+        @formats |> Map.keys() |> Enum.sort(),
+        "the message format (ZeroMQ, MQTT)",
         short: :m
       )
     ]
   end
 
-  @doc "The address given, or the usual one."
+  @doc "Returns the given address, or the system's default."
   @spec address(keyword()) :: String.t()
   def address(opts) do
     elsewhere = if opts[:system] == "ros", do: System.get_env("ROS_MASTER_URI")
     opts[:address] || elsewhere || Map.fetch!(@addresses, opts[:system])
   end
 
-  @doc "A recording that goes to ROS keeps what Situ's types have no place for."
+  @doc "Opens a recording. For ROS, messages are read as maps, so that fields without a counterpart in Situ are kept."
   @spec open!(Path.t(), keyword()) :: Store.Handle.t()
   def open!(path, opts) do
     store = Store.open!(path)
@@ -49,7 +55,7 @@ defmodule Situ.CLI.Store.Wire do
       else: store
   end
 
-  @doc "The publisher of a stream: a function of the stream, its topic and its description."
+  @doc "Returns a function that publishes a stream; it takes the stream, its topic and its description."
   @spec sender(Situ.Pipeline.t(), keyword()) ::
           (Situ.Stream.t(), String.t(), Store.StreamInfo.t() -> Situ.Stream.t())
   def sender(p, opts), do: sender(opts[:system], p, opts)
@@ -76,7 +82,7 @@ defmodule Situ.CLI.Store.Wire do
     fn stream, topic, info -> Ros2.publish(stream, name(topic), typed(info) ++ given) end
   end
 
-  @doc "A topic as a stream."
+  @doc "Subscribes to a topic and returns it as a stream."
   @spec receiver(Situ.Pipeline.t(), String.t(), keyword()) :: Situ.Stream.t()
   def receiver(p, topic, opts) do
     case opts[:system] do
@@ -101,15 +107,15 @@ defmodule Situ.CLI.Store.Wire do
     case Regex.run(~r/\A(.+?)(?::(\d{1,5}))?\z/, address(opts)) do
       [_, host] -> {host, 1_883}
       [_, host, port] -> {host, String.to_integer(port)}
-      nil -> throw({:usage, "--address takes the broker's HOST:PORT"})
+      nil -> throw({:usage, "--address needs the broker's HOST:PORT"})
     end
   end
 
-  # ROS has letters, digits, _ and / in names.
+  # Names in ROS consist of letters, digits, _ and /.
   defp name(topic),
     do: "/" <> (topic |> String.trim_leading("/") |> String.replace(~r/[^A-Za-z0-9_\/]/, "_"))
 
-  # Messages that were recorded from ROS go with their own types.
+  # Messages recorded from ROS are sent with their original type.
   defp typed(%{type_name: type}) when is_binary(type) do
     plain = Definition.plain(type)
     if Library.fetch(plain) == :error, do: [], else: [ros_type: plain]

@@ -1,9 +1,9 @@
 defmodule Situ.CLI.Talk.Session do
   @moduledoc """
-  The pipeline of `situ talk`: an assistant (`Situ.Assistant`) that hears a microphone, a page or a file; all recorded.
+  The pipeline of `situ talk`: an assistant (`Situ.Assistant`) that listens to a microphone, a page or a file.
 
-  The recording, `path/Assistant.NNNN`, holds the sound that was heard and that was spoken, whether somebody spoke, what
-  was recognised (while it was said and after), what was wanted, what was answered, and the pipeline's diagnostics.
+  Everything is recorded. The recording, `path/Assistant.NNNN`, contains the input audio and the spoken audio, voice
+  activity, the recognized text (partial and final), the intents, the replies, and the pipeline's diagnostics.
   """
   use Situ.Pipeline
   alias Situ.Media.{Microphone, Speaker, VideoFile}
@@ -55,8 +55,8 @@ defmodule Situ.CLI.Talk.Session do
   defp speak(sound, device), do: Speaker.play(sound, device: device, name: "Speaker")
 
   defp sound!(nil, input) do
-    raise Situ.Error.new(:no_sound, "there is no sound in #{input}",
-            fix: "name a file with sound, or a microphone"
+    raise Situ.Error.new(:no_sound, "#{input} has no audio",
+            fix: "name a file with audio, or a microphone"
           )
   end
 
@@ -64,7 +64,7 @@ defmodule Situ.CLI.Talk.Session do
 
   defp text(heard), do: Situ.map(heard, & &1.text, type: :string, name: "Text")
 
-  # The observer gets `{:talk, what, data, time, clock}`.
+  # The watcher receives `{:talk, what, data, time, clock}`.
   defp watch(_assistant, nil), do: :ok
 
   defp watch(assistant, watcher) do
