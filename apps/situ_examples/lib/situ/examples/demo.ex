@@ -2,29 +2,30 @@ defmodule Situ.Examples.Demo do
   @usage """
   Usage: bin/demo [--input FILE|camera] [--truth FILE.json] [--headless] [--json] [--realtime]
 
-  Finds out who is speaking in a clip, from sound and lips; records everything; prints who spoke when; then serves the
+  Detects who is speaking in a clip from audio and lips, records everything, prints who spoke when, and then serves the
   studio on the recording.
 
-    --input FILE     a media file (default: the clip that comes with Situ); "camera" for the first camera and the
-                     default microphone; any other device name, as "simulated:talk1.mp4?once"
-    --truth FILE     what really happens in the clip: prints the score
-    --out FOLDER     where the recording goes (default: "recordings")
-    --realtime       at the speed of the clip, instead of as fast as possible
+    --input FILE     a media file (default: the clip included with Situ); "camera" for the first camera and the
+                     default microphone; or any other device name, such as "simulated:talk1.mp4?once"
+    --truth FILE     the ground truth of the clip: prints the score
+    --out FOLDER     folder for the recording (default: "recordings")
+    --realtime       run at the speed of the clip instead of as fast as possible
     --seconds N      stop after N seconds (for cameras; default: until Enter is pressed)
     --headless       do not serve the studio afterwards
     --json           print one JSON object and nothing else
-    --transcript     recognise what is said (English), print who said what, and write it beside the recording as WebVTT
+    --transcript     recognize speech (English), print who said what, and write a WebVTT file next to the recording
     --profile        print where the time went, component by component
-    --port N         the studio's port (default 4040; 0 takes a free one)
+    --port N         port of the studio (default 4040; 0 picks a free port)
     --no-open        do not open a browser
-    --cluster        on three nodes, one of which is killed in the middle (--cluster --help)
-    --dataset        a study instead: clips as a dataset, annotated, exported, compared (--dataset --help)
-    --scene          a room in three dimensions instead, with all that is found in it (--scene --help)
+    --cluster        run on three nodes and kill a node midway (--cluster --help)
+    --dataset        run a study instead: clips as a dataset, annotated, exported, compared (--dataset --help)
+    --scene          record a 3D room instead, with bodies, detections and speech (--scene --help)
 
-  Exit status: 0 done, 1 it failed, 2 wrong usage.
+  Exit status: 0 success, 1 failure, 2 wrong usage.
   """
   @moduledoc """
-  The demo, `bin/demo`: `Situ.Examples.MultimodalVoiceActivity` on a clip or a camera, with a table and a score.
+  The `bin/demo` command: runs `Situ.Examples.MultimodalVoiceActivity` on a clip or a camera and prints a table and a
+  score.
 
   ```text
   #{@usage}
@@ -39,7 +40,7 @@ defmodule Situ.Examples.Demo do
   @spec main([String.t()]) :: no_return()
   def main(argv), do: argv |> run() |> System.halt()
 
-  @doc "Runs the demo; answers the exit status."
+  @doc "Runs the demo and returns the exit status."
   @spec run([String.t()]) :: 0 | 1 | 2
   def run(argv) do
     cond do
@@ -64,8 +65,8 @@ defmodule Situ.Examples.Demo do
   end
 
   @doc """
-  Runs the pipeline on what the options name. Answers its report, whose `result.path` is the recording's, and the
-  seconds it took.
+  Runs the pipeline with `opts`. Returns the pipeline's report and the seconds the run took; `result.path` of the report
+  is the path of the recording.
 
   Options: `input:`, `out:`, `realtime:`, `seconds:`, `sound_shift:`.
   """
@@ -101,7 +102,7 @@ defmodule Situ.Examples.Demo do
     end
   end
 
-  # A camera has no end: time or a person ends it. A simulated one that plays once ends by itself.
+  # A camera never ends, so a time limit or a person must stop it. A simulated camera that plays once ends by itself.
   defp live(build, opts) do
     with {:ok, p} <-
            Situ.Pipeline.start(MultimodalVoiceActivity, [{:pipeline, [name: "Talk"]} | build]) do
@@ -115,7 +116,7 @@ defmodule Situ.Examples.Demo do
   defp wait_for_end(p, nil) do
     IO.puts(:stderr, "Watching and listening. Press Enter to stop.")
 
-    # Without a terminal there is nobody to press it: then it runs until it is stopped from outside.
+    # Without a terminal nobody can press Enter, so the demo runs until it is stopped from outside.
     if IO.gets("") == :eof, do: Process.sleep(:infinity)
     Situ.Pipeline.stop(p)
   end
@@ -148,7 +149,7 @@ defmodule Situ.Examples.Demo do
     end
   end
 
-  # A camera cannot be asked again, and what has been moved once is left alone.
+  # A camera's input cannot be replayed, and audio is shifted only once.
   defp movable?(opts), do: not opts[:live] and opts[:sound_shift] == nil
 
   defp record_in_step(sync, path, truth, opts) do
@@ -156,7 +157,7 @@ defmodule Situ.Examples.Demo do
 
     case record(opts) do
       {:ok, report, wall_s} ->
-        # The recording that was out of step is the demo's own, and of no more use.
+        # The demo made the unsynchronized recording itself, and it is no longer needed.
         Situ.Store.delete(path)
         show(report, wall_s, truth, opts)
 
@@ -182,7 +183,7 @@ defmodule Situ.Examples.Demo do
     end
   end
 
-  # A recording that ended by an error is whole up to there: what is in it is shown all the same.
+  # A recording that ended with an error is readable up to that point, so its content is shown anyway.
   defp salvage(error, opts) do
     with %{report: %{result: %{path: path}}} <- error.meta,
          false <- opts[:json] == true,

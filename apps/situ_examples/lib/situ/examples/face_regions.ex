@@ -1,17 +1,17 @@
 defmodule Situ.Examples.FaceRegions do
   @moduledoc """
-  A pipeline that grows with the world: every face gets a branch of its own for as long as it is there.
+  A pipeline that grows at run time: every face gets its own branch for as long as the face is visible.
 
-  Pictures and tracked faces become a map of face id to the picture's region; `Situ.parallel/3` opens a branch for
-  each id, here one that measures how bright the face is, smoothed over its own last half second. Faces come and go;
-  their branches' state goes with them.
+  Images and tracked faces become a map from face id to image region. `Situ.parallel/3` opens a branch for each id; here
+  the branch measures the brightness of the face, smoothed over its last half second. When a face disappears, its branch
+  is closed and the branch's state is discarded.
 
       faces = Situ.Infer.MouthShape.parts(camera).faces
       brightness = Situ.Examples.FaceRegions.brightness(camera, faces)     # %{0 => 131.2, 1 => 98.7}
   """
   alias Situ.Stream
 
-  @doc "`%{id => mean brightness, 0..255}` for every picture."
+  @doc "Emits `%{id => mean brightness, 0..255}` for every image."
   @spec brightness(Stream.t(), Stream.t()) :: Stream.t()
   def brightness(pictures, faces) do
     pictures

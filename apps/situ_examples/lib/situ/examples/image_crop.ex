@@ -1,13 +1,13 @@
 defmodule Situ.Examples.ImageCrop do
   @moduledoc """
-  A component of one's own: cuts pictures to the last rectangle that came.
+  A custom component that crops images to the most recent rectangle.
 
-  Inputs `:image` (`Situ.Image`) and `:rect` (`Situ.Rect`), output `:out` (`Situ.Image`) at the picture's time.
-  Nothing comes out before the first rectangle, nor for one that lies outside of the picture.
+  Inputs are `:image` (`Situ.Image`) and `:rect` (`Situ.Rect`); the output `:out` (`Situ.Image`) has the image's time.
+  Nothing is emitted before the first rectangle, or while the rectangle is outside the image.
 
       Situ.via([image: pictures, rect: rectangles], Situ.Examples.ImageCrop)
 
-  It takes whatever rectangle arrived before, so the result depends on timing. Where it must not, join the streams
+  It uses the rectangle that arrived last, so the result depends on timing. For reproducible results, join the streams
   instead: `pictures |> Situ.join(rectangles, Situ.Reproducible.last())`.
   """
   use Situ.Component,

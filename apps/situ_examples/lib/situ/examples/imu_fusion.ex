@@ -1,10 +1,10 @@
 defmodule Situ.Examples.ImuFusion do
   @moduledoc """
-  Sensors of different rates brought together: one x-IMU3 gives acceleration 50 times, the magnetic field 20 times and
-  the temperature once a second, none of them at the same moments.
+  Fuses sensors with different rates: an x-IMU3 measures acceleration 50 times, the magnetic field 20 times and the
+  temperature once a second, at unrelated times.
 
-  The acceleration leads. The magnetic field is interpolated to its times, the temperature is the last one measured.
-  Both are reproducible: the fused stream is the same however the messages arrive.
+  The acceleration is the primary stream. The magnetic field is interpolated to its times, and the temperature is the
+  last measured value. Both joins are reproducible: the fused stream does not depend on the order of arrival.
 
       {:ok, report} = Situ.Pipeline.run(Situ.Examples.ImuFusion, each: &IO.inspect/1)
 
@@ -34,7 +34,8 @@ defmodule Situ.Examples.ImuFusion do
   end
 
   @doc """
-  Direction of the magnetic field against the device's x axis, degrees, with the tilt taken out by the acceleration.
+  Returns the direction of the magnetic field relative to the device's x axis in degrees, tilt-compensated with the
+  acceleration.
   """
   @spec heading([float()], [float()]) :: float()
   def heading([ax, ay, az], [mx, my, mz]) do
@@ -57,7 +58,7 @@ defmodule Situ.Examples.ImuFusion do
     }
   end
 
-  # Rows of numbers behind a line of names; the first column is the sensor's clock in microseconds.
+  # The file has a header line and rows of numbers; the first column is the sensor's clock in microseconds.
   defp sensor(p, path, columns) do
     rows =
       path

@@ -1,13 +1,13 @@
 defmodule Situ.Examples.MultimodalVoiceActivity do
   @moduledoc """
-  Who is speaking, decided from sound **and** lips, recorded as it happens.
+  Detects who is speaking from audio **and** lips, and records everything live.
 
       {:ok, report} = Situ.Pipeline.run(Situ.Examples.MultimodalVoiceActivity, input: "talk1.mp4", path: "recordings")
 
-  `input:` is a file, `"simulated:talk1.mp4"`, or a camera (`"/dev/video0"`). The recording, `path/Talk.NNNN`, holds
-  the sound, the pictures as JPEG, what the models saw in them, who was speaking, and the pipeline's own diagnostics.
-  With `transcript: true` also what was said (`Situ.Infer.Speech.Moonshine`), and boxes with the words at the faces that
-  say them. `sound_shift:` (ns) moves the sound of a file against its pictures, where the file has them out of step.
+  `input:` is a file, `"simulated:talk1.mp4"`, or a camera (`"/dev/video0"`). The recording, `path/Talk.NNNN`, contains
+  the audio, the images as JPEG, the outputs of the models, who was speaking, and the pipeline's diagnostics. With
+  `transcript: true` it also contains the transcript (`Situ.Infer.Speech.Moonshine`) and boxes that show the words at
+  the speaker's face. `sound_shift:` (ns) shifts the audio of a file relative to its images if they are not in sync.
   """
   use Situ.Pipeline
 
@@ -66,7 +66,7 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
 
   defp open(p, input, 0), do: Situ.Media.open(p, input, audio_format: @sound)
 
-  # Pictures and sound are read separately, so that their times can differ; no sound is read from before the pictures.
+  # Images and audio are read separately so that their times can differ. Audio from before the first image is skipped.
   defp open(p, file, shift) do
     {:ok, info} = Situ.Media.FileInfo.read(file)
     start = (info.recorded_at || 0) + shift

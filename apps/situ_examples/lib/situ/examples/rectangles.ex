@@ -1,6 +1,6 @@
 defmodule Situ.Examples.Rectangles do
   @moduledoc """
-  Operators, the smallest example: the widths and heights of a stream of rectangles, and how wide they are on average.
+  The smallest example of operators: computes the sizes and the average width of a stream of rectangles.
 
       iex> rects = [{0, Situ.Rect.new!(0, 0, 10, 20)}, {100, Situ.Rect.new!(5, 5, 30, 10)}]
       iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(rects) |> Situ.Examples.Rectangles.sizes() end)
@@ -10,7 +10,7 @@ defmodule Situ.Examples.Rectangles do
   """
   alias Situ.Stream
 
-  @doc "`{width, height}` of every rectangle: two streams made of one, and joined again by their times."
+  @doc "Emits `{width, height}` of every rectangle, by splitting the stream in two and joining the two by time."
   @spec sizes(Stream.t()) :: Stream.t()
   def sizes(rects) do
     widths = Situ.map(rects, & &1.width, type: :number)
@@ -18,7 +18,7 @@ defmodule Situ.Examples.Rectangles do
     Situ.join(widths, heights)
   end
 
-  @doc "The average width so far."
+  @doc "Emits the average width so far."
   @spec average_width(Stream.t()) :: Stream.t()
   def average_width(rects), do: rects |> Situ.map(& &1.width, type: :number) |> Situ.average()
 end

@@ -1,18 +1,19 @@
 defmodule Situ.Examples.Scene do
   @moduledoc """
-  A room with two people, seen by a depth camera and heard by a microphone, and all that is found in it, recorded:
+  Records a room with two people, seen by a depth camera and heard by a microphone, and everything detected in it:
 
       {:ok, report} = Situ.Pipeline.run(Situ.Examples.Scene, path: "recordings", seconds: 12)
 
-  The room is `Situ.Space.SyntheticRoom`, so it runs anywhere; any other `Situ.Space.DepthCamera` with bodies may stand
-  in its place (`camera: {module, options}`). The sound is that of the demo's clip, and the people of the room speak
-  when it does. The recording, `path/Scene.NNNN`, holds
+  The room is `Situ.Space.SyntheticRoom`, so the example runs anywhere. Any other `Situ.Space.DepthCamera` with bodies
+  can replace it (`camera: {module, options}`). The audio comes from the demo clip, and the people in the room speak at
+  the same times as the people in the clip. The recording, `path/Scene.NNNN`, contains
 
-    * `Room.Cloud`: coloured points in the room's frame, `Room.Bodies`, `Room.Pointing`, `Room.Ball`, `Room.Camera`
-    * `Room.Person` and `Room.Detections`: the picture cropped to the person who walks, and what was detected in it
-    * `Room.Sound`, `Room.Energy`, `Room.Voice`, `Room.Speech`: the waveform, its log energy, how likely it is a voice,
-      and the intervals with speech, with who spoke
-    * `Room.Heights` and `Room.Latencies`: histograms of the points' heights and of the clouds' latencies
+    * `Room.Cloud`: colored points in the room's coordinate frame, `Room.Bodies`, `Room.Pointing`, `Room.Ball`,
+      `Room.Camera`
+    * `Room.Person` and `Room.Detections`: the image cropped to the walking person, and the detections in it
+    * `Room.Sound`, `Room.Energy`, `Room.Voice`, `Room.Speech`: the waveform, its log energy, the probability of voice,
+      and the intervals with speech, with the speaker
+    * `Room.Heights` and `Room.Latencies`: histograms of the points' heights and of the point clouds' latencies
   """
   use Situ.Pipeline
 
@@ -21,7 +22,7 @@ defmodule Situ.Examples.Scene do
   alias Situ.Infer.VoiceActivity
   alias Situ.Space.{DepthCamera, SyntheticRoom}
 
-  # Who of the room speaks when the clip does, seconds.
+  # `{person, from, to}` in seconds: the speech of the clip, assigned to the people in the room.
   @speech [{0, 0.76, 3.6}, {1, 5.0, 6.92}, {0, 7.96, 9.52}, {1, 10.48, 11.44}]
   @size [width: 320, height: 240, rate: 15]
 
@@ -60,7 +61,7 @@ defmodule Situ.Examples.Scene do
 
   defp room(opts), do: [seconds: opts[:seconds] || 12, speech: @speech] ++ @size
 
-  # The points in the colours of the picture taken at the same moment.
+  # Colors the points with the image taken at the same time.
   defp clouds(camera) do
     camera.depth
     |> Situ.join(camera.color, Situ.Reproducible.exact())
@@ -73,7 +74,7 @@ defmodule Situ.Examples.Scene do
     )
   end
 
-  # The picture around the person who walks, and who was detected in it.
+  # Crops the image to the walking person, and returns it with the detections in it.
   defp persons(camera) do
     camera.color
     |> Situ.join(camera.others.bodies, Situ.Reproducible.exact())
@@ -100,7 +101,7 @@ defmodule Situ.Examples.Scene do
     record.(speech(heard.segments, camera.others[:speaking]), "Speech")
   end
 
-  # Intervals with speech; and whose, where the room tells.
+  # Emits the intervals with speech, with the speaker if the room reports who is speaking.
   defp speech(segments, nil),
     do: Situ.map(segments, &interval/1, name: "Speech", type: Situ.Interval)
 

@@ -2,18 +2,20 @@ defmodule Situ.Examples.Study do
   @usage """
   Usage: bin/demo --dataset [--input FILE --truth FILE.json]... [--out FOLDER] [--json]
 
-  A study end to end: clips as the sessions of a dataset, who speaks found in each from sound and lips, kept as proposed
-  annotations, exported to ELAN and WebVTT, and held against the truth (Cohen's kappa over frames of 10 ms).
+  Runs a complete study: adds clips as sessions of a dataset, detects from audio and lips who is speaking, stores the
+  results as proposed annotations, exports them to ELAN and WebVTT, and compares them with the ground truth (Cohen's
+  kappa over frames of 10 ms).
 
-    --input FILE     a clip; may be given several times (default: the three clips that come with Situ)
-    --truth FILE     what really happens in the clip given before it
-    --out FOLDER     where the study goes (default: "study")
+    --input FILE     a clip; may be given several times (default: the three clips included with Situ)
+    --truth FILE     the ground truth of the preceding clip
+    --out FOLDER     folder for the study (default: "study")
     --json           print one JSON object and nothing else
 
-  Exit status: 0 done, 1 it failed, 2 wrong usage.
+  Exit status: 0 success, 1 failure, 2 wrong usage.
   """
   @moduledoc """
-  `bin/demo --dataset`: a dataset of clips, run, annotated, exported, compared with the truth.
+  The `bin/demo --dataset` command: processes and annotates a dataset of clips, exports the annotations, and compares
+  them with the ground truth.
 
   ```text
   #{@usage}
@@ -32,11 +34,11 @@ defmodule Situ.Examples.Study do
   @output "Speech"
   @frame Situ.Time.ms(10)
 
-  @doc "The schema of the annotations: a track for each face, on which it speaks."
+  @doc "Returns the schema of the annotations: each face has a track that is annotated while the face speaks."
   @spec schema() :: Schema.t()
   def schema, do: Schema.finite("Speech", ["speaks"])
 
-  @doc "One session: who speaks, as proposed annotations, and where the faces are."
+  @doc "Builds the pipeline for one session, which writes proposed annotations of speech and the mouths of all faces."
   @impl true
   def build(_p, opts) do
     {importer, exporter} = {opts[:importer], opts[:exporter]}
@@ -60,7 +62,7 @@ defmodule Situ.Examples.Study do
     Situ.Store.write(lips.mouths, exporter, "Mouths")
   end
 
-  @doc "Runs it; answers the exit status."
+  @doc "Runs the study and returns the exit status."
   @spec run([String.t()]) :: 0 | 1 | 2
   def run(argv) do
     switches = [
@@ -78,7 +80,7 @@ defmodule Situ.Examples.Study do
         if opts[:help], do: usage(), else: study(opts)
 
       {_, [word | _], _} ->
-        fail("#{inspect(word)} is one argument too many\n  Fix: see bin/demo --dataset --help", 2)
+        fail("unexpected argument #{inspect(word)}\n  Fix: see bin/demo --dataset --help", 2)
 
       {_, _, [{switch, _} | _]} ->
         fail("unknown or incomplete option #{switch}\n  Fix: see bin/demo --dataset --help", 2)
@@ -118,7 +120,7 @@ defmodule Situ.Examples.Study do
     status
   end
 
-  # A truth belongs to the clip before it.
+  # Each truth file belongs to the clip before it.
   defp clips([]) do
     folder = Application.app_dir(:situ_examples, "priv/demo")
 
@@ -195,7 +197,7 @@ defmodule Situ.Examples.Study do
     end
   end
 
-  # Which track of ours is which face of the truth: the one whose box it lies in when it is first seen.
+  # Maps each tracked face to the true face that is horizontally nearest when the track first appears.
   defp faces(store, truth) do
     for message <- Situ.Store.messages(store, "Mouths"),
         {id, mouth} <- message.data,
@@ -231,7 +233,7 @@ defmodule Situ.Examples.Study do
 
     for result <- results do
       kappa =
-        if result.kappa, do: ", kappa against the truth #{Float.round(result.kappa, 3)}", else: ""
+        if result.kappa, do: ", kappa #{Float.round(result.kappa, 3)} against the truth", else: ""
 
       IO.puts(
         "  #{result.session}: #{result.annotations} proposed annotations " <>
@@ -243,7 +245,7 @@ defmodule Situ.Examples.Study do
     end
 
     IO.puts(
-      "Look at it: bin/situ dataset info #{dataset.file}; accept or reject the proposals in the studio."
+      "Next: run bin/situ dataset info #{dataset.file}, then accept or reject the proposals in the studio."
     )
   end
 end

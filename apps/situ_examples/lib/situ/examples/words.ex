@@ -1,10 +1,10 @@
 defmodule Situ.Examples.Words do
   @moduledoc """
-  The words of whoever speaks, at the face that says them: subtitles with an owner.
+  Labels the face of the current speaker with the spoken words, like subtitles attributed to a speaker.
 
-  Input `:faces` is `{mouths, speaking}` for every picture (`Situ.Infer.MouthShape`, `Situ.Infer.who_speaks/3`), `:said`
-  the utterances. Output `:out` has, for each picture of an utterance, the rectangle of its speaker with a few of the
-  words as label, and nothing where the voice is from outside of the picture.
+  Input `:faces` is `{mouths, speaking}` for every image (`Situ.Infer.MouthShape`, `Situ.Infer.who_speaks/3`), and
+  `:said` contains the utterances. For each image during an utterance, output `:out` contains the speaker's rectangle,
+  labeled with a few of the words, or an empty list if the speaker is outside the image.
   """
   use Situ.Component,
     inputs: [
@@ -15,9 +15,9 @@ defmodule Situ.Examples.Words do
 
   alias Situ.Examples.Demo.Transcript
 
-  # Words of a picture.
+  # The maximum number of words in a label.
   @at_once 6
-  # Pictures wait so long for what is said in them: longer than any utterance, and the time to recognise it.
+  # Images wait this long for their utterance, which exceeds the length of any utterance plus the recognition time.
   @patience 60_000_000_000
 
   defstruct pictures: [], said: []
@@ -45,7 +45,7 @@ defmodule Situ.Examples.Words do
 
   def handle_closed(_input, _time, _context, state), do: {[], state}
 
-  # An utterance is placed once there is a picture after it.
+  # An utterance is emitted once an image after its end has arrived.
   defp answer(%{said: [said | others], pictures: [{newest, _} | _] = pictures} = state)
        when newest > said.to do
     {after_it, rest} = Enum.split_while(pictures, fn {time, _} -> time > said.to end)
@@ -71,7 +71,7 @@ defmodule Situ.Examples.Words do
   end
 
   @doc """
-  The words of an utterance around a time, as if all were equally long.
+  Returns the words of an utterance around a time, as if all words were equally long.
 
       iex> alias Situ.Infer.Speech.Utterance
       iex> said = %Utterance{text: "One two three four five six seven.", from: 0, to: 700, confidence: 1.0}

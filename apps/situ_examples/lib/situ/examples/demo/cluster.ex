@@ -3,20 +3,20 @@ defmodule Situ.Examples.Demo.Cluster do
   Usage: bin/demo --cluster [--input FILE] [--out FOLDER] [--kill lips|sound|recording|none]
                             [--headless]
 
-  The demo on three nodes of this machine, each an OS process of its own: the recording (with the clip), sound and
-  lips apart. In the middle one node is killed with -9. The last line says whether the recording equals that of the
-  same job on one machine, which is made first.
+  Runs the demo on three nodes of this machine, each in its own OS process: one records (and reads the clip), one
+  analyzes the audio, and one analyzes the lips. Midway, one node is killed with -9. The last line reports whether the
+  recording equals the recording of the same job on one machine, which runs first.
 
-    --input FILE   a media file (default: the clip that comes with Situ)
-    --out FOLDER   where both recordings go (default: "recordings/cluster")
-    --kill PART    whose node is killed (default: lips)
+    --input FILE   a media file (default: the clip included with Situ)
+    --out FOLDER   folder for both recordings (default: "recordings/cluster")
+    --kill PART    the part whose node is killed (default: lips)
     --headless     has no effect: this demo never starts the studio
 
   Exit status: 0 equal, 1 not equal or failed, 2 wrong usage.
   """
   @moduledoc """
-  The demo of clusters, `bin/demo --cluster`: `Situ.Examples.MultimodalVoiceActivity` over three nodes, one of which is
-  lost.
+  The cluster demo, `bin/demo --cluster`: runs `Situ.Examples.MultimodalVoiceActivity` on three nodes and kills a node
+  midway.
 
   ```text
   #{@usage}
@@ -29,7 +29,9 @@ defmodule Situ.Examples.Demo.Cluster do
   @parts %{"lips" => "MouthShape", "sound" => "VoiceActivity", "recording" => "rest"}
   @minutes 10
 
-  @doc "Runs it; `record` does the job on one machine (`Situ.Examples.Demo.record/1`). Answers the exit status."
+  @doc """
+  Runs the demo and returns the exit status. `record` runs the same job on one machine (`Situ.Examples.Demo.record/1`).
+  """
   @spec run(
           [String.t()],
           (keyword() -> {:ok, Situ.Pipeline.Report.t(), float()} | {:error, Situ.Error.t()})
@@ -64,7 +66,7 @@ defmodule Situ.Examples.Demo.Cluster do
 
     cond do
       kill != "none" and not is_map_key(@parts, kill) -> wrong("--kill #{kill}: no such part")
-      not File.regular?(input) -> wrong("there is no file #{input}")
+      not File.regular?(input) -> wrong("cannot find the file #{input}")
       true -> demo(input, out, kill, record)
     end
   end
@@ -107,7 +109,7 @@ defmodule Situ.Examples.Demo.Cluster do
       {:ok, _} = call(node, Cluster, :join, [[log: log, labels: [name]]])
     end
 
-    # Pictures, sound and what the models make of them are the same each time: nothing waits for a checkpoint.
+    # Decoding and inference are deterministic, so the outputs need not wait for a checkpoint.
     place = for {label, part} <- @parts, do: {rule(part), on: label, deterministic: true}
 
     {:ok, deployment} =
@@ -136,7 +138,7 @@ defmodule Situ.Examples.Demo.Cluster do
   defp rule("rest"), do: :rest
   defp rule(path), do: path
 
-  # In the middle: when the mouths of a second's pictures are known.
+  # Waits until 40 messages of the mouths have been published (more than a second of video), then kills the node.
   defp lose(nodes, deployment, name) do
     {_, watcher} = Enum.find(nodes, fn {other, _} -> other != name end)
     wait_for_messages(watcher, deployment, 40)
@@ -159,7 +161,7 @@ defmodule Situ.Examples.Demo.Cluster do
 
   defp ended?(parts), do: Enum.any?(parts, fn {_, part} -> part.phase in [:done, :failed] end)
 
-  # A node: an OS process with the code of this one, connected to the others alone.
+  # A node is an OS process that runs the same code as this one and is connected only to the other nodes.
   defp node(name, cookie) do
     port = free_port()
     paths = for path <- :code.get_path(), path != ~c".", arg <- [~c"-pa", path], do: arg
@@ -198,7 +200,7 @@ defmodule Situ.Examples.Demo.Cluster do
     started
   end
 
-  # While it starts, Erlang also loads modules from the current folder, so it starts in one of ours.
+  # While Erlang starts, it also loads modules from the current folder, so it is started in a folder of this app.
   defp erlang_command do
     erl = System.find_executable("erl") || Path.join([:code.root_dir(), "bin", "erl"])
     folder = Path.join(to_string(:code.priv_dir(:situ_examples)), "demo")
@@ -218,7 +220,7 @@ defmodule Situ.Examples.Demo.Cluster do
     port
   end
 
-  # Is it the same?
+  # Comparison
 
   defp compare(_one, {:error, error}), do: {:error, error}
 
@@ -239,7 +241,7 @@ defmodule Situ.Examples.Demo.Cluster do
     end
   end
 
-  # Diagnostics and creation times differ from run to run.
+  # Diagnostics differ from run to run.
   defp names(store),
     do: for(s <- Store.streams(store), s.name != "Talk.Diagnostics", do: s.name) |> Enum.sort()
 

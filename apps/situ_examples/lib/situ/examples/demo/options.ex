@@ -1,6 +1,6 @@
 defmodule Situ.Examples.Demo.Options do
   @moduledoc false
-  # The demo's command line, parsed once.
+  # Parses the demo's command line.
 
   @switches [
     input: :string,
@@ -19,7 +19,7 @@ defmodule Situ.Examples.Demo.Options do
 
   @spec parse([String.t()]) :: {:ok, keyword()} | :help | {:error, String.t()}
   def parse(argv) do
-    # `elixir -e ... -- args` passes the dashes on.
+    # `elixir -e ... -- args` passes the dashes to the script.
     argv = if List.first(argv) == "--", do: tl(argv), else: argv
 
     case OptionParser.parse(argv, strict: @switches, aliases: [h: :help]) do
@@ -45,7 +45,7 @@ defmodule Situ.Examples.Demo.Options do
   defp input("camera"), do: "/dev/video0"
   defp input(other), do: other
 
-  @doc "The clip that comes with the examples."
+  @doc "Returns the path of the clip included with the examples."
   @spec clip() :: Path.t()
   def clip, do: Path.join([to_string(:code.priv_dir(:situ_examples)), "demo", "talk1.mp4"])
 end

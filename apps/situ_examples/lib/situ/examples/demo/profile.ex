@@ -1,9 +1,9 @@
 defmodule Situ.Examples.Demo.Profile do
   @moduledoc """
-  Where a run's time went: a table of the pipeline's components, the busiest first.
+  Shows where the time of a run went, as a table of the pipeline's components sorted by busy time.
 
-  `busy` is the time a component spent handling messages, waiting for other processes (a decoder, a model in use)
-  included; components run side by side, so that shares of the run's time may add up to more than one core has.
+  `busy` is the time a component spent handling messages, including waiting for other processes (a decoder, a model in
+  use). Components run in parallel, so their shares of the run's time may add up to more than 100 %.
   """
   alias Situ.Diagnostics.Snapshot
 
@@ -15,7 +15,7 @@ defmodule Situ.Examples.Demo.Profile do
           about: String.t() | nil
         }
 
-  @doc "One row for each component that took a millisecond or more, the busiest first."
+  @doc "Returns one row for each component that was busy for a millisecond or more, sorted by busy time."
   @spec rows(Snapshot.t()) :: [row()]
   def rows(%Snapshot{} = snapshot) do
     nodes = Map.new(snapshot.nodes, &{&1.id, &1})
@@ -35,7 +35,7 @@ defmodule Situ.Examples.Demo.Profile do
     %{path: node.path, calls: calls, mean_ms: mean, busy_s: busy / 1.0e9, about: node.description}
   end
 
-  @doc "The rows as text; `wall_s` is how long the run took."
+  @doc "Renders the rows as text; `wall_s` is the wall-clock time of the run in seconds."
   @spec render(Snapshot.t(), float()) :: iodata()
   def render(%Snapshot{} = snapshot, wall_s) do
     [

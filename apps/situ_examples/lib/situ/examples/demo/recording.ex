@@ -1,15 +1,16 @@
 defmodule Situ.Examples.Demo.Recording do
   @moduledoc """
-  The content of a recording of the demo: who was seen where, who spoke when, and how late each decision came.
+  The content of a demo recording: which faces were seen where, who spoke when, and the latency of each decision.
 
-    * `frames`: pictures with a decision; `media_s`: how long they last
-    * `found`: per picture, its time from the first and the faces with their rectangles and whether they speak; no
-      faces for a picture without a decision
-    * `spoken`: `{face id, from, to}` in nanoseconds from the first picture, in the order of time
-    * `utterances`: `Situ.Infer.Speech.Utterance`s, with times from the first picture
-    * `sync`: a `Situ.Infer.LipSync`, how late or early the sound is against the lips
-    * `start`: the originating time of the first picture
-    * `latency_ms`: `{median, 95th percentile}` from a picture to the decision on it
+    * `frames`: number of images with a decision; `media_s`: their duration
+    * `found`: for each image, its time since the first image, and the faces with their rectangles and whether they
+      speak; images without a decision have no faces
+    * `spoken`: `{face id, from, to}` in nanoseconds since the first image, ordered by time
+    * `utterances`: `Situ.Infer.Speech.Utterance`s, with times since the first image
+    * `sync`: a `Situ.Infer.LipSync`, the estimated offset of the audio relative to the lips
+    * `start`: the originating time of the first image
+    * `latency_ms`: `{median, 95th percentile}` from an image to its decision
+    * `missing`: which of `:sound` and `:pictures` the recording does not contain
   """
   alias Situ.Store
 
@@ -65,7 +66,7 @@ defmodule Situ.Examples.Demo.Recording do
   defp pairs(store, names, name),
     do: for(m <- messages(store, names, name), do: {m.originating_time, m.data})
 
-  # Without pictures times count from the beginning of the sound, as they are.
+  # Without video or decisions `zero` is 0, and the utterances keep their times.
   defp utterances(said, zero),
     do: for(%{data: u} <- said, do: %{u | from: u.from - zero, to: u.to - zero})
 
@@ -112,7 +113,7 @@ defmodule Situ.Examples.Demo.Recording do
   defp media_s([first, _ | _] = speaking) do
     last = List.last(speaking)
     n = length(speaking)
-    # The last picture lasts as long as the others do on average.
+    # The duration of the last image is the mean duration of the others.
     (last.originating_time - first.originating_time) / (n - 1) * n / 1.0e9
   end
 

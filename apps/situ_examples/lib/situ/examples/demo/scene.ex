@@ -2,22 +2,22 @@ defmodule Situ.Examples.Demo.Scene do
   @usage """
   Usage: bin/demo --scene [--seconds N] [--out FOLDER] [--headless] [--json] [--fast]
 
-  A room with two people, seen by a (simulated) depth camera and heard by a microphone: records points, bodies, where
-  somebody points, who was detected, the voice and how late all of it was; then serves the studio on the recording, in
-  one layout.
+  Simulates a room with two people, a depth camera and a microphone. Records points, bodies, pointing gestures,
+  detections, voice activity and latencies, and then serves the studio on the recording, in one layout.
 
-    --seconds N      how much of the room (default: 12)
-    --out FOLDER     where the recording goes (default: "recordings")
-    --fast           as fast as possible, instead of at the speed of the room: then the latencies mean nothing
+    --seconds N      duration to record (default: 12)
+    --out FOLDER     folder for the recording (default: "recordings")
+    --fast           run as fast as possible instead of in real time; latencies are then meaningless
     --headless       do not serve the studio afterwards
     --json           print one JSON object and nothing else
-    --port N         the studio's port (default 4040; 0 takes a free one)
+    --port N         port of the studio (default 4040; 0 picks a free port)
+    --no-open        do not open a browser
     --no-open        do not open a browser
 
-  Exit status: 0 done, 1 it failed, 2 wrong usage.
+  Exit status: 0 success, 1 failure, 2 wrong usage.
   """
   @moduledoc """
-  `bin/demo --scene`: `Situ.Examples.Scene` recorded, and its layout opened in the studio.
+  The `bin/demo --scene` command: records `Situ.Examples.Scene` and opens its layout in the studio.
 
   ```text
   #{@usage}
@@ -39,7 +39,7 @@ defmodule Situ.Examples.Demo.Scene do
   ]
   @layout "Scene"
 
-  @doc "Runs it; answers the exit status."
+  @doc "Runs the demo and returns the exit status."
   @spec run([String.t()]) :: 0 | 1 | 2
   def run(argv) do
     argv = if List.first(argv) == "--", do: tl(argv), else: argv
@@ -63,7 +63,10 @@ defmodule Situ.Examples.Demo.Scene do
     0
   end
 
-  @doc "Records the room; options `seconds:`, `out:`, `fast:`. The report's `result.path` is the recording's."
+  @doc """
+  Records the room. Options are `seconds:`, `out:` and `fast:`. `result.path` of the report is the path of the
+  recording.
+  """
   @spec pipeline(keyword()) :: {:ok, Situ.Pipeline.Report.t()} | {:error, Error.t()}
   def pipeline(opts) do
     {:ok, _} = Application.ensure_all_started(:situ_examples)
@@ -113,7 +116,7 @@ defmodule Situ.Examples.Demo.Scene do
     ["Recorded #{path}\n", rows]
   end
 
-  @doc "Writes the layout into a folder for the studio; answers the folder."
+  @doc "Copies the layout to a folder that the studio can load, and returns the folder."
   @spec layouts(Path.t()) :: Path.t()
   def layouts(path) do
     folder = path <> ".layouts"

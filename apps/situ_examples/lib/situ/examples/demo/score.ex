@@ -1,13 +1,14 @@
 defmodule Situ.Examples.Demo.Score do
   @moduledoc """
-  Compares who was found to speak with who does, picture by picture.
+  Compares the detected speakers with the true speakers, image by image.
 
-  A picture is right when exactly the faces speak that should; pictures within 0.2 s of an edge of a segment are not
-  scored. A tracked face counts as the true one whose box it overlaps most, and as a stranger when it overlaps none.
+  An image is right if exactly the correct faces are detected as speaking. Images within 0.2 s of the start or end of
+  a speech segment are not scored. A tracked face counts as the true face whose box it overlaps most, and as a stranger
+  if it overlaps none.
 
-  A clip may leave pictures out (a variable frame rate): a picture, and the decision on it, counts until the next one.
-  In a picture with no decision nobody speaks, nor after the last picture. `false_speech_s` and
-  `missed_speech_s` add up over faces.
+  A clip may skip images (a variable frame rate). An image, and the decision on it, holds until the next image. In an
+  image without a decision, and after the last image, nobody speaks. `false_speech_s` and `missed_speech_s` are sums
+  over all faces.
 
       iex> json = ~s({"fps": 10, "frames": 10, "faces": [{"id": 0, "box": [0, 0, 9, 9]}],
       ...>   "speech": [{"face": 0, "speech_start": 0.0, "speech_end": 1.0}]})
@@ -33,7 +34,7 @@ defmodule Situ.Examples.Demo.Score do
   @type found :: [{Situ.Time.t(), [{Situ.Rect.t(), speaking? :: boolean()}]}]
   @type t :: %__MODULE__{}
 
-  @doc "Returns the score of decisions whose times count from the beginning of the clip."
+  @doc "Returns the score of decisions whose times are relative to the start of the clip."
   @spec of(Truth.t(), found()) :: t()
   def of(%Truth{} = truth, found) do
     rows =
@@ -43,7 +44,7 @@ defmodule Situ.Examples.Demo.Score do
       end
 
     per_face = Map.new(truth.faces, fn {id, _} -> {to_string(id), face(rows, id, truth.fps)} end)
-    # Strangers count too: a voice given to a picture on the wall is false speech.
+    # Strangers count too: attributing a voice to a picture on the wall is false speech.
     false_frames =
       rows |> Enum.map(fn {true_ids, ids} -> length(ids -- true_ids) end) |> Enum.sum()
 
@@ -59,10 +60,10 @@ defmodule Situ.Examples.Demo.Score do
     }
   end
 
-  # Each picture of the truth, with what was found in the picture that is shown at its time.
+  # Pairs the index of each image of the truth with the decision that is in effect at its time.
   defp hold_decisions(found, truth) do
     shown = for {time, faces} <- found, do: {round(time * truth.fps / 1.0e9), faces}
-    # Of several pictures in one place the last counts.
+    # If several images have the same index, the last one counts.
     shown = shown |> Map.new() |> Enum.sort()
     last = truth.frames - 1
 
@@ -100,7 +101,7 @@ defmodule Situ.Examples.Demo.Score do
     }
   end
 
-  # A clip in which nothing can be scored has nothing wrong.
+  # A clip without scored images has no errors.
   defp share(_n, 0), do: 1.0
   defp share(n, of), do: Float.round(n / of, 4)
 

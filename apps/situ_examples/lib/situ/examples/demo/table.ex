@@ -1,6 +1,6 @@
 defmodule Situ.Examples.Demo.Table do
   @moduledoc false
-  # The demo's output: a table for people, or one JSON object.
+  # Renders the demo's output as a table for people or as one JSON object.
 
   @spec render(map()) :: iodata()
   def render(%{opts: opts} = result), do: if(opts[:json], do: json(result), else: text(result))
@@ -48,7 +48,7 @@ defmodule Situ.Examples.Demo.Table do
       spoken(recording.spoken),
       said(result.said),
       score(result.score),
-      "\n#{recording.frames} pictures, #{seconds(recording.media_s)} s",
+      "\n#{recording.frames} images, #{seconds(recording.media_s)} s",
       if(result.wall_s > 0, do: ", in #{seconds(result.wall_s)} s", else: []),
       latency(result),
       origin(recording),
@@ -57,39 +57,41 @@ defmodule Situ.Examples.Demo.Table do
     ]
   end
 
-  # The estimate by which the sound was moved, or that of the recording.
+  # Prefers the estimate that was used to shift the audio; the recording contains the estimate after that shift.
   defp sync(%{opts: opts, recording: recording}), do: opts[:sync] || recording.sync
 
   defp out_of_step(%{opts: opts} = result) do
     sync = sync(result)
     lateness = if sync.shift > 0, do: "late", else: "early"
     ms = div(abs(sync.shift), 1_000_000)
-    message = "The sound is #{ms} ms #{lateness} against the lips (confidence #{sync.confidence})"
+
+    message =
+      "The audio is #{ms} ms #{lateness} relative to the lips (confidence #{sync.confidence})"
 
     cond do
-      opts[:sync] -> [message, ": it was moved by that for the following results.\n"]
-      Situ.Infer.LipSync.off?(sync) -> [message, ": do not rely on who speaks.\n"]
+      opts[:sync] -> [message, "; it was shifted by that amount for the following results.\n"]
+      Situ.Infer.LipSync.off?(sync) -> [message, "; the detected speakers are unreliable.\n"]
       true -> []
     end
   end
 
-  # A file without a creation time begins at the epoch, so the year needs an explanation.
+  # A file without a creation time starts at the epoch, so the year needs an explanation.
   defp origin(%{start: start, frames: frames}) when frames > 0 and start < 86_400_000_000_000,
-    do: "\nThe clip does not say when it was made: its times count from 1970-01-01."
+    do: "\nThe clip has no creation time, so its times start at 1970-01-01."
 
   defp origin(_recording), do: []
 
   defp missing(list) do
     for what <- list do
       case what do
-        :sound -> "There is no sound in this: nobody can be heard speaking.\n"
-        :pictures -> "There are no pictures in this: voices only, and nobody to give them to.\n"
+        :sound -> "The recording has no audio, so no speech can be detected.\n"
+        :pictures -> "The recording has no video, so speech cannot be attributed to faces.\n"
       end
     end
   end
 
   defp said(nil), do: []
-  defp said(%{lines: []}), do: "\nNothing was said that could be understood.\n"
+  defp said(%{lines: []}), do: "\nNo speech was recognized.\n"
 
   defp said(%{lines: lines, file: file, score: score}) do
     [
@@ -106,7 +108,7 @@ defmodule Situ.Examples.Demo.Table do
   end
 
   defp said_score(%{wer: wer, right_face: right}) when wer != nil do
-    "Words wrong: #{Float.round(wer * 100, 1)} %; at the right face: #{Float.round(right * 100, 1)} %\n"
+    "Word error rate: #{Float.round(wer * 100, 1)} %; correct face: #{Float.round(right * 100, 1)} %\n"
   end
 
   defp said_score(_), do: []
@@ -126,16 +128,16 @@ defmodule Situ.Examples.Demo.Table do
 
   defp score(score) do
     [
-      "\nRight in #{Float.round(score.frame_accuracy * 100, 2)} % ",
-      "of #{score.scored_frames} scored pictures of #{score.frames}; ",
-      "speech given wrongly #{score.false_speech_s} s, missed #{score.missed_speech_s} s"
+      "\n#{Float.round(score.frame_accuracy * 100, 2)} % correct ",
+      "in #{score.scored_frames} scored images of #{score.frames}; ",
+      "false speech #{score.false_speech_s} s, missed speech #{score.missed_speech_s} s"
     ]
   end
 
   defp latency(%{opts: opts, recording: %{latency_ms: {median, p95}}}) when median != nil do
     if opts[:realtime] || opts[:live],
       do:
-        "\nFrom picture to decision: median #{round_ms(median)} ms, 95 % within #{round_ms(p95)} ms",
+        "\nLatency from image to decision: median #{round_ms(median)} ms, 95 % within #{round_ms(p95)} ms",
       else: "\nReplayed as fast as possible: latencies in the recording are not real time."
   end
 

@@ -1,7 +1,6 @@
 defmodule Situ.Examples.Demo.Transcript do
   @moduledoc """
-  Who said what: each utterance with the face that spoke most while it was said, `nil` for a voice from outside of the
-  picture.
+  Attributes each utterance to the face that spoke most during it, or to `nil` if the speaker is outside the image.
 
       iex> alias Situ.Examples.Demo.Transcript
       iex> said = [%Situ.Infer.Speech.Utterance{text: "Go on.", from: 0, to: 1_000_000_000, confidence: 0.9}]
@@ -16,7 +15,7 @@ defmodule Situ.Examples.Demo.Transcript do
   alias Situ.Examples.Demo.{Score, Truth}
   alias Situ.Infer.Speech.Utterance
 
-  # A face that speaks in fewer of the pictures is not the one that is heard.
+  # A face that speaks in a smaller share of the images is not considered the speaker.
   @share 0.5
 
   @type line :: %{
@@ -27,7 +26,7 @@ defmodule Situ.Examples.Demo.Transcript do
           text: String.t()
         }
 
-  @doc "The lines of a transcript. Times of utterances and pictures count from the same moment."
+  @doc "Builds the lines of a transcript. Times of utterances and images must have the same origin."
   @spec of([Utterance.t()], Score.found()) :: [line()]
   def of(utterances, found) do
     for said <- utterances do
@@ -36,7 +35,7 @@ defmodule Situ.Examples.Demo.Transcript do
     end
   end
 
-  @doc "The rectangle of the face that says it, `nil` for a voice from outside of the picture."
+  @doc "Returns the rectangle of the face that speaks the utterance, or `nil` if the speaker is outside the image."
   @spec speaker(Utterance.t(), Score.found()) :: Situ.Rect.t() | nil
   def speaker(said, found) do
     pictures = for {time, faces} <- found, time >= said.from, time <= said.to, do: faces
@@ -50,7 +49,7 @@ defmodule Situ.Examples.Demo.Transcript do
     end
   end
 
-  @doc "The transcript as WebVTT, a voice for each face."
+  @doc "Formats the transcript as WebVTT, with one voice per face."
   @spec webvtt([line()]) :: iodata()
   def webvtt(lines) do
     cues =
@@ -78,8 +77,8 @@ defmodule Situ.Examples.Demo.Transcript do
   end
 
   @doc """
-  How good the transcript is: the word error rate of all that was said, in order, and the share of the truth's
-  utterances that went to the right face. `nil` where the truth has no words.
+  Scores a transcript: its word error rate, and the share of reference utterances attributed to the correct face. Both
+  are `nil` if the truth contains no words.
   """
   @spec score([line()], Truth.t()) :: %{wer: float() | nil, right_face: float() | nil}
   def score(_lines, %Truth{said: []}), do: %{wer: nil, right_face: nil}

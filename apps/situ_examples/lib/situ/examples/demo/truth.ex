@@ -1,10 +1,10 @@
 defmodule Situ.Examples.Demo.Truth do
   @moduledoc """
-  The ground truth of a clip: whose face is where, and who speaks when.
+  The ground truth of a clip: the positions of the faces, and who speaks when.
 
-  Read from JSON: `fps`, `frames`, `faces` (`id`, `box` as `[left, top, right, bottom]` in pixels) and `speech`
-  (`face`, an id or `null` for a voice without a face; `speech_start`, `speech_end` in seconds, and `text` where the
-  words are known). Other keys are not looked at.
+  It is read from JSON: `fps`, `frames`, `faces` (`id`, `box` as `[left, top, right, bottom]` in pixels) and `speech`
+  (`face`, an id or `null` for a voice without a face; `speech_start` and `speech_end` in seconds; and `text` if the
+  words are known). Other keys are ignored.
 
       iex> json = ~s({"fps": 25, "frames": 50, "faces": [{"id": 0, "box": [0, 0, 10, 10]}],
       ...>   "speech": [{"face": 0, "speech_start": 0.5, "speech_end": 1.5},
@@ -30,7 +30,7 @@ defmodule Situ.Examples.Demo.Truth do
           ]
         }
 
-  # People do not agree on where speech begins to within this.
+  # Human annotators disagree about the start and end of speech by about this much.
   @edge_s 0.2
 
   @doc "Reads the file at `path`."
@@ -49,7 +49,7 @@ defmodule Situ.Examples.Demo.Truth do
     end
   end
 
-  @doc "Parses the JSON text."
+  @doc "Parses a ground truth from JSON text."
   @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
   def parse(json) do
     with {:ok, %{"fps" => fps, "frames" => frames} = map}
@@ -68,7 +68,7 @@ defmodule Situ.Examples.Demo.Truth do
     end
   end
 
-  @doc "The ids of the faces that speak at `time_s` seconds, in order."
+  @doc "Returns the sorted ids of the faces that speak at `time_s` seconds."
   @spec speakers(t(), number()) :: [term()]
   def speakers(%__MODULE__{} = truth, time_s) do
     for({face, from, to} <- truth.speech, face != nil, time_s >= from, time_s < to, do: face)
@@ -76,7 +76,7 @@ defmodule Situ.Examples.Demo.Truth do
     |> Enum.sort()
   end
 
-  @doc "Whether `time_s` is within 0.2 s of where a segment begins or ends."
+  @doc "Returns whether `time_s` is within 0.2 s of the start or end of a speech segment."
   @spec near_edge?(t(), number()) :: boolean()
   def near_edge?(%__MODULE__{speech: speech}, time_s) do
     Enum.any?(speech, fn {_, from, to} ->
@@ -84,7 +84,7 @@ defmodule Situ.Examples.Demo.Truth do
     end)
   end
 
-  @doc "The id of the face whose box `rect` overlaps most, `nil` when it overlaps none."
+  @doc "Returns the id of the face whose box overlaps `rect` most, or `nil` if none does."
   @spec face_at(t(), Rect.t()) :: term() | nil
   def face_at(%__MODULE__{faces: faces}, rect) do
     {id, overlap} =
@@ -96,7 +96,7 @@ defmodule Situ.Examples.Demo.Truth do
   end
 
   defp decode(json) do
-    with {:error, :bad_json} <- Situ.JSON.decode(json), do: bad("it is not JSON")
+    with {:error, :bad_json} <- Situ.JSON.decode(json), do: bad("the file is not JSON")
   end
 
   defp all(list, parse) when is_list(list) do
@@ -124,5 +124,5 @@ defmodule Situ.Examples.Demo.Truth do
 
   defp speech(_), do: bad("speech needs speech_start and speech_end in seconds")
 
-  defp bad(why), do: {:error, Error.new(:bad_truth, "not a usable truth file", why: why)}
+  defp bad(why), do: {:error, Error.new(:bad_truth, "invalid truth file", why: why)}
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Examples.Scene.Crop do
   @moduledoc """
-  People in a camera's picture: the rectangle around a body's joints, and the picture around a rectangle.
+  Finds people in a camera's image: computes the rectangle around a body's joints, and crops the image around it.
 
       iex> alias Situ.Examples.Scene.Crop
       iex> rect = Situ.Rect.new!(x: 10, y: 10, width: 5, height: 5)
@@ -13,10 +13,13 @@ defmodule Situ.Examples.Scene.Crop do
 
   @type detection :: {Rect.t(), [Situ.Point2.t()]}
 
-  # The margin for the body around its joints, as a fraction of the rectangle.
+  # The body extends beyond its joints by about this fraction of the rectangle.
   @margin 0.12
 
-  @doc "The rectangle around the joints that the camera sees, and the joints in it; the score is how many those are."
+  @doc """
+  Returns the rectangle around the joints visible to the camera, and these joints. The score is the share of the body's
+  joints that are visible.
+  """
   @spec detection(CameraView.t(), Skeleton.t()) :: detection()
   def detection(%CameraView{} = view, %Skeleton{} = body) do
     seen =
@@ -39,7 +42,7 @@ defmodule Situ.Examples.Scene.Crop do
     Rect.new!(box ++ [label: "person", score: score, id: id])
   end
 
-  @doc "The part of a picture around a detection, and where it begins."
+  @doc "Crops an image around a detection, and returns the cropped image and its offset."
   @spec around(Image.t(), detection()) :: {Image.t(), {non_neg_integer(), non_neg_integer()}}
   def around(%Image{width: w, height: h} = picture, {rect, _joints}) do
     {left, top} = {clamp(rect.x - rect.width, w - 8), clamp(rect.y - 8, h - 8)}
@@ -51,7 +54,7 @@ defmodule Situ.Examples.Scene.Crop do
   defp clamp(x, most), do: x |> round() |> max(0) |> min(most)
 
   @doc """
-  Those whose middle lies in the picture.
+  Returns the detections whose center is within the image.
 
       iex> alias Situ.Examples.Scene.Crop
       iex> [near, far] = for x <- [0, 9], do: {Situ.Rect.new!(x: x, y: 0, width: 2, height: 2), []}
@@ -66,7 +69,7 @@ defmodule Situ.Examples.Scene.Crop do
         do: detection
   end
 
-  @doc "The detection in the part of the picture that begins there."
+  @doc "Converts a detection to the coordinates of an image that was cropped at this offset."
   @spec shift(detection(), {number(), number()}) :: detection()
   def shift({rect, joints}, {dx, dy}) do
     {%{rect | x: rect.x - dx, y: rect.y - dy},

@@ -1,6 +1,6 @@
 defmodule Situ.Examples.Scene.Histogram do
   @moduledoc """
-  Counts by bin, as `{label, count}` for a chart of bars.
+  Counts values by bin and returns `{label, count}` rows for a bar chart.
 
       iex> alias Situ.Examples.Scene.Histogram
       iex> Histogram.new() |> Histogram.add(Situ.Time.ms(3)) |> Histogram.rows() |> Enum.take(3)
@@ -14,22 +14,22 @@ defmodule Situ.Examples.Scene.Histogram do
 
   @type t :: %{optional(non_neg_integer()) => pos_integer()}
 
-  @doc "No latencies yet."
+  @doc "Returns an empty histogram."
   @spec new() :: t()
   def new, do: %{}
 
-  @doc "One latency (ns) more."
+  @doc "Adds one latency (ns)."
   @spec add(t(), Situ.Time.duration()) :: t()
   def add(counts, latency) do
     bin = @bins |> Enum.take_while(&(&1 * 1_000_000 <= latency)) |> List.last(0)
     Map.update(counts, bin, 1, &(&1 + 1))
   end
 
-  @doc "Every bin (from so many ms on) with its count."
+  @doc "Returns every bin with its count; the label is the lower bound in ms."
   @spec rows(t()) :: [{String.t(), non_neg_integer()}]
   def rows(counts), do: for(bin <- @bins, do: {"#{bin}", Map.get(counts, bin, 0)})
 
-  @doc "How many points of a cloud lie how high (metres), of every fifth point."
+  @doc "Counts every fifth point of a cloud by height; the label is the lower bound in meters."
   @spec heights(PointCloud.t()) :: [{String.t(), non_neg_integer()}]
   def heights(%PointCloud{points: points}) do
     counts = count(points, %{})
@@ -43,6 +43,6 @@ defmodule Situ.Examples.Scene.Histogram do
 
   defp count(_few, counts), do: counts
 
-  # The floor and the ceiling are a millimetre beside 0 and the top.
+  # Clamps heights to the first and the last bin, so that points on the floor and the ceiling are counted.
   defp bin(z), do: z |> max(0.0) |> min(@top - 0.001) |> Kernel./(@step) |> floor()
 end
