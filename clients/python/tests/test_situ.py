@@ -1,4 +1,7 @@
-"""Written messages are read again; hostile files are refused. Standard library and, if installed, numpy."""
+"""Tests that written messages can be read back, and that malicious files are rejected.
+
+The tests use the standard library and, if it is installed, numpy.
+"""
 import base64
 import math
 import os
@@ -10,9 +13,8 @@ import tempfile
 import unittest
 
 import situ
-from situ import bytes as crc
-from situ import formats, terms, values
-from situ.bytes import Damaged, Missing
+from situ import binary, formats, terms, values
+from situ.binary import Damaged, Missing
 
 try:
     import numpy as np
@@ -30,41 +32,42 @@ CODED = [
     situ.PointCloud(b"0123456789ab", b"rgb", b"1234"),
     situ.Pose((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0)),
 ]
-PLAIN = [0, -1, 255, 1 << 40, -(1 << 200), 1.5, True, None, "ä", b"\xff\x00", [1, [2]], (1, "x"), {"a": [None], "b": {}}, []]
+PLAIN = [0, -1, 255, 1 << 40, -(1 << 200), 1.5, True, None, "ä", b"\xff\x00", [1, [2]], (1, "x")]
+PLAIN += [{"a": [None], "b": {}}, []]
 
 
-class Terms(unittest.TestCase):
-    def test_every_kind_comes_back(self):
+class TermTest(unittest.TestCase):
+    def test_decodes_every_encoded_kind_of_term(self):
         for term in [*PLAIN, situ.Atom("hello"), situ.Struct("My.Point", {"x": 1.0})]:
-            self.assertEqual(terms.decode(terms.encode(term)), term)
-        self.assertTrue(math.isnan(terms.decode(terms.encode(math.nan))))
-        self.assertEqual(terms.decode(terms.encode(situ.Struct("My.Point", {"x": 1.0}))).module, "My.Point")
+            self.assertEqual(terms.decode_term(terms.encode_term(term)), term)
+        self.assertTrue(math.isnan(terms.decode_term(terms.encode_term(math.nan))))
+        self.assertEqual(terms.decode_term(terms.encode_term(situ.Struct("My.Point", {"x": 1.0}))).module, "My.Point")
 
-    def test_functions_and_processes_are_refused(self):
+    def test_rejects_functions_and_processes(self):
         for tag in (80, 82, 88, 89, 103, 112, 113):
             with self.assertRaises(Damaged):
-                terms.decode(bytes([131, tag]) + bytes(40))
+                terms.decode_term(bytes([131, tag]) + bytes(40))
         with self.assertRaises(TypeError):
-            terms.encode(object())
+            terms.encode_term(object())
 
 
-class Hostile(unittest.TestCase):
-    def test_mutated_bytes_are_read_or_refused(self):
+class MaliciousInputTest(unittest.TestCase):
+    def test_decodes_or_rejects_mutated_bytes(self):
         dice = random.Random(1)
-        samples = [(formats.decode, ("situ",), formats.encode("situ", 5, value)) for value in [*PLAIN, *CODED]]
-        samples += [(formats.decode, ("json",), formats.encode("json", 5, {"a": [1, 2.5, "x"]}))]
+        samples = [("situ", formats.encode_message("situ", 5, value)) for value in [*PLAIN, *CODED]]
+        samples += [("json", formats.encode_message("json", 5, {"a": [1, 2.5, "x"]}))]
         for n in range(20_000):
-            decode, arguments, sample = samples[n % len(samples)]
+            format, sample = samples[n % len(samples)]
             raw = bytearray(sample)
             for _ in range(dice.randint(1, 3)):
                 raw[dice.randrange(len(raw))] = dice.randrange(256)
             raw = bytes(raw[: dice.randint(0, len(raw))]) if dice.random() < 0.3 else bytes(raw)
             try:
-                decode(*arguments, raw, 0)
+                formats.decode_message(format, raw, 0)
             except Damaged:
                 pass
 
-    def test_a_store_with_a_flipped_byte_is_read_or_refused(self):
+    def test_reads_or_rejects_a_store_with_a_flipped_bit(self):
         with tempfile.TemporaryDirectory() as root:
             with situ.create("a", root) as store:
                 for n, value in enumerate(PLAIN + CODED):
@@ -72,9 +75,9 @@ class Hostile(unittest.TestCase):
             dice = random.Random(2)
             for name in ("index.situ", "data-000000.situ"):
                 path = os.path.join(root, "a.0000", name)
-                whole = open(path, "rb").read()
+                intact = open(path, "rb").read()
                 for _ in range(500):
-                    raw = bytearray(whole)
+                    raw = bytearray(intact)
                     raw[dice.randrange(len(raw))] ^= 1 << dice.randrange(8)
                     open(path, "wb").write(raw)
                     try:
@@ -82,10 +85,10 @@ class Hostile(unittest.TestCase):
                             self.assertIsNotNone(message)
                     except (Damaged, Missing, KeyError):
                         pass
-                open(path, "wb").write(whole)
+                open(path, "wb").write(intact)
 
 
-class Damage(unittest.TestCase):
+class DamageTest(unittest.TestCase):
     def setUp(self):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
@@ -95,42 +98,42 @@ class Damage(unittest.TestCase):
                 store.write("n", n, n)
         self.path = os.path.join(folder.name, "a.0000")
 
-    def flip(self, name, at, bit=0):
+    def flip_bit(self, name, at, bit=0):
         with open(os.path.join(self.path, name), "r+b") as file:
             file.seek(at)
             (byte,) = file.read(1)
             file.seek(at)
             file.write(bytes([byte ^ 1 << bit]))
 
-    def entries(self, stream):
+    def find_entries(self, stream):
         return [e for e in situ.open(self.path)._files.entries if e["stream"] == stream]
 
-    def test_an_entry_is_passed_over_and_listed(self):
-        whole = range(3_000)
-        entries = self.entries(2)
+    def test_skips_and_lists_a_damaged_index_entry(self):
+        written = range(3_000)
+        entries = self.find_entries(2)
         self.assertEqual([e["count"] for e in entries], [1_024, 1_024, 952])
-        self.flip("index.situ", 4_096 + 64 * entries[1]["number"] + 20)
+        self.flip_bit("index.situ", 4_096 + 64 * entries[1]["number"] + 20)
         store = situ.open(self.path)
-        self.assertEqual(store.damage, [f"the checksum of the index entry {entries[1]['number']} is wrong"])
-        self.assertEqual([m.data for m in store.read("n")], [*whole[:1_024], *whole[2_048:]])
+        self.assertEqual(store.damage, [f"the checksum of index entry {entries[1]['number']} does not match"])
+        self.assertEqual([m.data for m in store.read("n")], [*written[:1_024], *written[2_048:]])
         self.assertEqual(store.streams["n"].count, 1_976)
         self.assertEqual([m.data for m in store.read("first")], [1])
 
-    def test_any_bit_of_the_index_leaves_the_rest_readable(self):
+    def test_reads_the_rest_after_any_flipped_bit_of_the_index(self):
         header = [at for at in range(12, 64)]
         entries = range(4_096, 4_096 + 64 * len(situ.open(self.path)._files.entries))
         for at in [*header, *entries[::7]]:
-            self.flip("index.situ", at, at % 8)
+            self.flip_bit("index.situ", at, at % 8)
             store = situ.open(self.path)
             self.assertEqual(len(store.damage), 1)
             got = sum(len(list(store.read(name))) for name in store.streams)
             self.assertGreaterEqual(got, 3_001 - 1_024)
-            self.flip("index.situ", at, at % 8)
+            self.flip_bit("index.situ", at, at % 8)
         self.assertEqual(situ.open(self.path).damage, [])
 
-    def test_a_chunk_raises_or_is_passed_over(self):
-        damaged = self.entries(2)[0]
-        self.flip("data-000000.situ", damaged["offset"] + 200)
+    def test_raises_for_a_damaged_chunk_or_skips_it(self):
+        damaged = self.find_entries(2)[0]
+        self.flip_bit("data-000000.situ", damaged["offset"] + 200)
         store = situ.open(self.path)
         with self.assertRaises(Damaged):
             list(store.read("n"))
@@ -138,26 +141,26 @@ class Damage(unittest.TestCase):
         self.assertEqual(len(store.damage), 1)
         self.assertIn("checksum", store.damage[0])
 
-    def test_the_catalog_is_read_as_far_as_it_is_sound(self):
-        self.flip("data-000000.situ", self.entries(0)[1]["offset"] + 120)
+    def test_reads_streams_whose_catalog_records_are_damaged(self):
+        self.flip_bit("data-000000.situ", self.find_entries(0)[1]["offset"] + 120)
         store = situ.open(self.path)
         self.assertEqual(len(store.damage), 1)
         self.assertEqual(list(store.streams), ["stream 1", "stream 2"])
         self.assertEqual(len(list(store.read("stream 2"))), 3_000)
 
 
-class Checksums(unittest.TestCase):
-    def test_all_ways_agree(self):
-        ways = [crc._plain_crc32c, crc.crc32c] + ([crc._numpy_crc32c(np)] if np else [])
+class ChecksumTest(unittest.TestCase):
+    def test_all_implementations_agree(self):
+        implementations = [binary._plain_crc32c, binary.crc32c] + ([binary._build_numpy_crc32c(np)] if np else [])
         dice = random.Random(4)
         for length in (0, 1, 2, 9, 1_023, 1_024, 16_385, 150_001):
             raw = dice.randbytes(length)
-            self.assertEqual(len({way(raw) for way in ways}), 1, length)
-        self.assertTrue(all(way(b"123456789") == 0xE3069283 for way in ways))
+            self.assertEqual(len({crc32c(raw) for crc32c in implementations}), 1, length)
+        self.assertTrue(all(crc32c(b"123456789") == 0xE3069283 for crc32c in implementations))
 
 
-class Stores(unittest.TestCase):
-    def test_what_is_written_is_read(self):
+class StoreTest(unittest.TestCase):
+    def test_reads_written_messages(self):
         with tempfile.TemporaryDirectory() as root:
             with situ.create("lobby", root) as store:
                 for n in range(3_000):
@@ -179,7 +182,7 @@ class Stores(unittest.TestCase):
             with self.assertRaises(KeyError):
                 next(store.read("nothing"))
 
-    def test_a_time_that_is_none_is_refused_and_nothing_else_is_lost(self):
+    def test_rejects_invalid_times_without_losing_messages(self):
         with tempfile.TemporaryDirectory() as root:
             with situ.create("times", root) as store:
                 store.write("n", -(10**18), 1)
@@ -194,7 +197,7 @@ class Stores(unittest.TestCase):
             self.assertEqual([(m.time, m.data) for m in store.read("n")], [(-(10**18), 1)])
             self.assertEqual(list(store.streams), ["n"])
 
-    def test_a_store_is_read_while_it_is_written(self):
+    def test_reads_a_store_that_is_being_written(self):
         with tempfile.TemporaryDirectory() as root:
             writer = situ.create("live", root)
             writer.write("n", 1, 1)
@@ -205,7 +208,7 @@ class Stores(unittest.TestCase):
             writer.close()
             self.assertEqual([m.data for m in messages], [2])
 
-    def test_following_ends_when_the_writer_was_killed(self):
+    def test_stops_following_after_the_writer_is_killed(self):
         program = """if 1:
             import sys, situ
             writer = situ.create("live", sys.argv[1])
@@ -229,25 +232,25 @@ class Stores(unittest.TestCase):
                     self.assertEqual(list(messages), [])
                 self.assertEqual(store.state, "abandoned")
 
-    def test_metadata(self):
+    def test_reads_the_metadata_of_a_stream(self):
         with tempfile.TemporaryDirectory() as root:
             with situ.create("a", root) as store:
                 store.write("n", 1, 1)
-                term = base64.b64encode(terms.encode({"rate": 16_000})).decode()
-                store._record({"kind": "metadata", "id": 1, "type": "map", "term": term})
+                term = base64.b64encode(terms.encode_term({"rate": 16_000})).decode()
+                store._add_record({"kind": "metadata", "id": 1, "type": "map", "term": term})
             store = situ.open(os.path.join(root, "a"))
             self.assertEqual(store.streams["n"].metadata, {"rate": 16_000})
             self.assertGreater(store.created, 0)
 
-    def test_what_is_shown_is_short(self):
-        picture = situ.Image(100, 100, "gray8", 100, bytes(10_000))
-        shown = "Image(width=100, height=100, format='gray8', stride=100, data=<10000 bytes>)"
-        self.assertEqual(repr(picture), shown)
+    def test_repr_abbreviates_long_bytes(self):
+        image = situ.Image(100, 100, "gray8", 100, bytes(10_000))
+        expected = "Image(width=100, height=100, format='gray8', stride=100, data=<10000 bytes>)"
+        self.assertEqual(repr(image), expected)
         with tempfile.TemporaryDirectory() as root:
             situ.create("a", root).close()
             self.assertIn("'a' at ", repr(situ.open(os.path.join(root, "a"))))
 
-    def test_datasets_keep_what_they_do_not_know(self):
+    def test_datasets_keep_unknown_members(self):
         with tempfile.TemporaryDirectory() as root:
             situ.create("a", root).close()
             dataset = situ.Dataset.create(os.path.join(root, "study.json"))
@@ -259,9 +262,9 @@ class Stores(unittest.TestCase):
             self.assertEqual(again.sessions["one"].partitions["a"].open().name, "a")
 
 
-@unittest.skipUnless(np is not None, "numpy is not there")
-class Arrays(unittest.TestCase):
-    def test_arrays_are_what_is_read_one_by_one(self):
+@unittest.skipUnless(np is not None, "numpy is not installed")
+class ArrayTest(unittest.TestCase):
+    def test_arrays_equal_the_messages_that_are_read_singly(self):
         streams = {
             "ints": [0, -1, 63, -64, 1 << 40, (1 << 63) - 1, -(1 << 63)] * 400,
             "floats": [n / 7 for n in range(2_500)],
@@ -287,31 +290,34 @@ class Arrays(unittest.TestCase):
             self.assertEqual(store.array("ints")[1].dtype, np.int64)
             self.assertEqual(store.array("truths")[1].dtype, np.bool_)
 
-    def test_numpys_numbers_are_numbers(self):
+    def test_writes_numpy_scalars_as_numbers(self):
         with tempfile.TemporaryDirectory() as root:
             with situ.create("numbers", root) as store:
-                for name, value in (("i", np.int64(7)), ("f", np.float32(1.5)), ("b", np.bool_(True)), ("z", np.array(3))):
+                scalars = {"i": np.int64(7), "f": np.float32(1.5), "b": np.bool_(True), "z": np.array(3)}
+                for name, value in scalars.items():
                     store.write(name, np.int64(5), value)
             store = situ.open(os.path.join(root, "numbers"))
             got = {name: (s.type, next(store.read(name)).data) for name, s in store.streams.items()}
-            self.assertEqual(got, {"i": (":integer", 7), "f": (":float", 1.5), "b": (":boolean", True), "z": (":integer", 3)})
+            expected = {"i": (":integer", 7), "f": (":float", 1.5), "b": (":boolean", True), "z": (":integer", 3)}
+            self.assertEqual(got, expected)
 
-    def test_pictures(self):
+    def test_images_convert_to_arrays(self):
         array = np.arange(2 * 3 * 3, dtype="u1").reshape(2, 3, 3)
-        picture = situ.Image.from_array(array)
-        self.assertTrue((picture.array == array).all() and (picture.rgb == array).all())
-        blue = situ.Image.from_array(array, "bgr24")
-        self.assertTrue((blue.rgb == array[:, :, ::-1]).all())
+        image = situ.Image.from_array(array)
+        self.assertTrue((image.array == array).all() and (image.rgb == array).all())
+        bgr = situ.Image.from_array(array, "bgr24")
+        self.assertTrue((bgr.rgb == array[:, :, ::-1]).all())
         padded = situ.Image(1, 2, "gray8", 4, b"a...b...")
         self.assertEqual(padded.array.tolist(), [[97], [98]])
 
-    def test_sound_of_24_bits(self):
-        sound = situ.AudioBuffer(8_000, 1, "s24", struct.pack("<i", -2)[:3] + struct.pack("<i", 8_388_607)[:3])
-        self.assertEqual(sound.array.ravel().tolist(), [-2, 8_388_607])
+    def test_audio_of_24_bits_converts_to_int32(self):
+        audio = situ.AudioBuffer(8_000, 1, "s24", struct.pack("<i", -2)[:3] + struct.pack("<i", 8_388_607)[:3])
+        self.assertEqual(audio.array.ravel().tolist(), [-2, 8_388_607])
 
-    def test_arrays_are_tensors(self):
-        for array in (np.eye(3), np.zeros((2, 0, 3), "f4"), np.array([True, False]), np.arange(4, dtype=">i2"), np.ones(2, "f2")):
-            again = values.Tensor.decode(values.coded(array).encode()).array
+    def test_arrays_are_written_as_tensors(self):
+        arrays = [np.eye(3), np.zeros((2, 0, 3), "f4"), np.array([True, False]), np.arange(4, dtype=">i2")]
+        for array in [*arrays, np.ones(2, "f2")]:
+            again = values.Tensor.decode(values.to_writable(array).encode()).array
             self.assertTrue((again == array).all() and again.shape == array.shape)
         bf16 = values.Tensor("bf16", (1,), struct.pack("<f", 1.5)[2:])
         self.assertEqual(bf16.array.tolist(), [1.5])

@@ -1,6 +1,6 @@
-"""Recordings and live streams of Situ in Python.
+"""Reads and writes Situ's recordings and datasets, and exchanges live streams with Situ.
 
-Times are integer nanoseconds since 1970, UTC, as everywhere in Situ.
+Times are integer nanoseconds since 1970, UTC, as in the rest of Situ.
 
     import situ
 
@@ -15,14 +15,14 @@ Times are integer nanoseconds since 1970, UTC, as everywhere in Situ.
             answers.send(message.time, message.data * 2)
 """
 
-from .bytes import Damaged, Missing
+from .binary import Damaged, Missing
 from .dataset import Dataset, Partition, Session
 from .network import publish, pull, push, subscribe
-from .reading import AbandonedWarning, Message, Store, Stream, open
+from .reader import AbandonedWarning, Message, Store, Stream, open
 from .terms import Atom, Struct
 from .times import from_datetime, from_text, now, to_datetime, to_text
 from .values import AudioBuffer, DepthImage, EncodedImage, Image, PointCloud, Pose, Tensor, Undecoded
-from .writing import Writer, create
+from .writer import Writer, create
 
 __version__ = "0.1.0"
 __all__ = [

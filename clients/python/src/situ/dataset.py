@@ -1,21 +1,21 @@
-"""Datasets: sessions of recordings in one JSON file (`priv/schema/dataset.schema.json`)."""
+"""Reads and writes datasets: sessions of recordings in one JSON file (`priv/schema/dataset.schema.json`)."""
 
 import json
 import os
 import tempfile
 
-from . import reading
+from . import reader
 
 
 class Dataset:
-    """A dataset file. Members this package does not know are kept when it is saved."""
+    """A dataset file. Saving keeps members that this package does not know."""
 
     def __init__(self, path, document):
         self.path, self.document = os.fspath(path), document
 
     @classmethod
     def create(cls, path, name=None):
-        """A new file; FileExistsError when there is one."""
+        """Creates a dataset file. Raises FileExistsError if the file exists."""
         if os.path.exists(path):
             raise FileExistsError(path)
         title = name or os.path.splitext(os.path.basename(path))[0]
@@ -25,34 +25,35 @@ class Dataset:
 
     @classmethod
     def open(cls, path):
-        """Raises ValueError for what is no dataset, or one of a later version."""
+        """Opens a dataset file. Raises ValueError if it is not a dataset, or is of an unsupported version."""
         with open(path, encoding="utf-8") as file:
             document = json.load(file)
         if not isinstance(document, dict) or not isinstance(document.get("sessions"), list):
-            raise ValueError(f"{path} is no dataset")
+            raise ValueError(f"{path} is not a dataset: it has no list `sessions`")
         if document.get("version", 1) != 1:
-            raise ValueError(f"{path} is of version {document['version']}; this package reads 1")
+            raise ValueError(f"{path} has version {document['version']}; this package supports version 1")
         return cls(path, document)
 
     @property
     def name(self):
+        """The dataset's name."""
         return self.document.get("name")
 
     @property
     def sessions(self):
-        """The sessions by name."""
+        """A dict from name to `Session`."""
         return {session["name"]: Session(self, session) for session in self.document["sessions"]}
 
     def add_session(self, name, **metadata):
-        """A new, empty session; ValueError when there is one of that name."""
+        """Adds an empty session and returns it. Raises ValueError if the name is taken."""
         if name in self.sessions:
-            raise ValueError(f"there is a session {name!r} already")
+            raise ValueError(f"the dataset already has a session {name!r}")
         session = {"name": name, "tags": [], "metadata": metadata, "partitions": []}
         self.document["sessions"].append(session)
         return Session(self, session)
 
     def save(self):
-        """Replaces the file, whole or not at all."""
+        """Writes the file atomically."""
         folder = os.path.dirname(os.path.abspath(self.path))
         with tempfile.NamedTemporaryFile("w", dir=folder, delete=False, encoding="utf-8") as file:
             json.dump(self.document, file, indent=2, ensure_ascii=False)
@@ -64,7 +65,7 @@ class Dataset:
 
 
 class Session:
-    """A session: recordings that belong together."""
+    """A session: a set of recordings that belong together."""
 
     def __init__(self, dataset, document):
         self._dataset, self.document = dataset, document
@@ -75,19 +76,20 @@ class Session:
 
     @property
     def metadata(self):
+        """A dict of metadata, which can be changed in place."""
         return self.document.setdefault("metadata", {})
 
     @property
     def partitions(self):
-        """The recordings by name."""
+        """A dict from name to `Partition`."""
         return {part["name"]: Partition(self._dataset, part) for part in self.document.get("partitions", [])}
 
     def add(self, path, name=None):
-        """Adds a recording, by default under its own name; ValueError when the session has one of that name."""
-        store = reading.open(path)
+        """Adds a recording, by default under its own name. Raises ValueError if the name is taken."""
+        store = reader.open(path)
         name = name or store.name
         if name in self.partitions:
-            raise ValueError(f"there is a partition {name!r} already")
+            raise ValueError(f"the session already has a partition {name!r}")
         folder = os.path.dirname(os.path.abspath(self._dataset.path))
         relative = os.path.relpath(store.path, folder).replace(os.sep, "/")
         part = {"name": name, "store": store.name, "path": relative}
@@ -107,9 +109,10 @@ class Partition:
 
     @property
     def path(self):
+        """The recording's path, resolved against the dataset's folder."""
         folder = os.path.dirname(os.path.abspath(self._dataset.path))
         return os.path.normpath(os.path.join(folder, self.document["path"]))
 
     def open(self):
-        """The store; this package reads Situ's own."""
-        return reading.open(self.path)
+        """Opens the recording. This package reads Situ's own store format only."""
+        return reader.open(self.path)

@@ -1,50 +1,51 @@
-"""Live streams over ZeroMQ, the counterpart of `Situ.Bridge.ZeroMQ`.
+"""Exchanges live streams over ZeroMQ; the counterpart of `Situ.Bridge.ZeroMQ`.
 
-`format` is one of `"json"` (the default), `"message_pack"`, `"situ"` (any value, with pictures, sound and arrays as
-they are) and `"raw"`, and must be the same on both sides.
+`format` is `"json"` (the default), `"message_pack"`, `"situ"` (any value, including images, audio and arrays) or
+`"raw"`. Both sides must use the same format.
 """
 
 from . import formats
-from .bytes import Damaged, Missing
-from .reading import Message
+from .binary import Damaged, Missing
+from .reader import Message
 from .times import now
 
 
-def _zmq():
+def _import_zmq():
     try:
         import zmq
     except ImportError:
-        raise Missing("pyzmq: pip install situ[zeromq]") from None
+        raise Missing("pyzmq is not installed: pip install situ[zeromq]") from None
     return zmq
 
 
 def subscribe(address, topic="", prefix=False, format="json", bind=False, timeout=None, high_water_mark=1_000):
-    """The messages of a topic, one after the other, for ever; with `timeout` (seconds) until none came for so long.
+    """Returns an iterator over the messages of a topic.
 
-    `prefix` takes all topics that begin so. The result counts what could not be read (`unreadable`) and closes by
-    `close()` or `with`.
+    With `timeout` (seconds), it ends after that time without a message. With `prefix=True`, it yields the messages of
+    all topics that begin with `topic`. Messages that cannot be decoded are skipped and counted in `unreadable`. Close
+    the result with `close()` or use it in a `with` statement.
     """
-    return _Source(_zmq().SUB, address, bind, format, timeout, high_water_mark, (topic, prefix))
+    return _Receiver(_import_zmq().SUB, address, bind, format, timeout, high_water_mark, (topic, prefix))
 
 
 def pull(address, format="json", bind=False, timeout=None, high_water_mark=1_000):
-    """The messages of a PUSH socket, like `subscribe`."""
-    return _Source(_zmq().PULL, address, bind, format, timeout, high_water_mark, None)
+    """Returns an iterator over the messages of a PUSH socket, like `subscribe`."""
+    return _Receiver(_import_zmq().PULL, address, bind, format, timeout, high_water_mark, None)
 
 
 def publish(address, topic, format="json", bind=True, wait_for=0, high_water_mark=1_000, linger=1.0):
-    """Something to `send(time, data)` with; `wait_for`: send nothing before so many have subscribed."""
-    return _Sink(_zmq().XPUB, address, bind, format, topic, wait_for, high_water_mark, linger)
+    """Returns a publisher with the method `send(time, data)`. The first `send` waits for `wait_for` subscribers."""
+    return _Sender(_import_zmq().XPUB, address, bind, format, topic, wait_for, high_water_mark, linger)
 
 
 def push(address, format="json", bind=True, high_water_mark=1_000, linger=1.0):
-    """As `publish`, to whoever pulls; waits while nobody has room."""
-    return _Sink(_zmq().PUSH, address, bind, format, None, 0, high_water_mark, linger)
+    """Returns a sender for PULL sockets, like `publish`. Its `send` blocks while no receiver has room."""
+    return _Sender(_import_zmq().PUSH, address, bind, format, None, 0, high_water_mark, linger)
 
 
 class _Socket:
     def __init__(self, kind, address, bind, high_water_mark):
-        zmq = _zmq()
+        zmq = _import_zmq()
         self._zmq, self._socket = zmq, zmq.Context.instance().socket(kind)
         self._socket.setsockopt(zmq.RCVHWM if kind in (zmq.SUB, zmq.PULL) else zmq.SNDHWM, high_water_mark)
         if bind:
@@ -61,15 +62,16 @@ class _Socket:
         self.close()
 
     def close(self):
+        """Closes the socket."""
         self._socket.close()
 
 
-class _Source(_Socket):
-    def __init__(self, kind, address, bind, format, timeout, high_water_mark, wanted):
+class _Receiver(_Socket):
+    def __init__(self, kind, address, bind, format, timeout, high_water_mark, topic_filter):
         super().__init__(kind, address, bind, high_water_mark)
-        self._format, self._timeout, self._wanted, self.unreadable = format, timeout, wanted, 0
-        if wanted:
-            self._socket.setsockopt(self._zmq.SUBSCRIBE, wanted[0].encode())
+        self._format, self._timeout, self._topic_filter, self.unreadable = format, timeout, topic_filter, 0
+        if topic_filter:
+            self._socket.setsockopt(self._zmq.SUBSCRIBE, topic_filter[0].encode())
 
     def __iter__(self):
         return self
@@ -79,33 +81,34 @@ class _Source(_Socket):
             if not self._socket.poll(None if self._timeout is None else int(self._timeout * 1_000)):
                 raise StopIteration
             frames = self._socket.recv_multipart()
-            if self._wanted and not self._wanted[1] and frames[0] != self._wanted[0].encode():
+            if self._topic_filter and not self._topic_filter[1] and frames[0] != self._topic_filter[0].encode():
                 continue
             try:
-                time, data = formats.decode(self._format, frames[-1], now())
+                time, data = formats.decode_message(self._format, frames[-1], now())
                 return Message(time, data)
             except Damaged:
                 self.unreadable += 1
 
 
-class _Sink(_Socket):
+class _Sender(_Socket):
     def __init__(self, kind, address, bind, format, topic, wait_for, high_water_mark, linger):
         super().__init__(kind, address, bind, high_water_mark)
         self._format, self._topic, self._wait_for, self._linger = format, topic, wait_for, linger
 
     def send(self, time, data):
-        """Sends a message with its time."""
-        payload = formats.encode(self._format, time, data)
+        """Sends a message with its time in nanoseconds."""
+        payload = formats.encode_message(self._format, time, data)
         if self._topic is None:
             self._socket.send(payload)
             return
-        # XPUB tells of subscriptions, PUB does not.
+        # An XPUB socket receives subscriptions; a PUB socket does not.
         while self._wait_for > 0 or self._socket.poll(0):
-            self._wait_for -= 1 if self._subscribed(self._socket.recv()) else 0
+            self._wait_for -= 1 if self._is_subscription(self._socket.recv()) else 0
         self._socket.send_multipart([self._topic.encode(), payload])
 
-    def _subscribed(self, said):
-        return said[:1] == b"\1" and self._topic.encode().startswith(said[1:])
+    def _is_subscription(self, notification):
+        return notification[:1] == b"\1" and self._topic.encode().startswith(notification[1:])
 
     def close(self):
+        """Closes the socket after sending pending messages for at most `linger` seconds."""
         self._socket.close(linger=int(self._linger * 1_000))

@@ -1,4 +1,4 @@
-"""Erlang's external term format: what messages without a layout of their own are written in.
+"""Encodes and decodes Erlang's external term format, which stores messages that have no binary layout.
 
 | Erlang, Elixir | Python |
 |---|---|
@@ -6,23 +6,23 @@
 | `true`, `false`, `nil` | True, False, None |
 | `:nan`, `:infinity`, `:neg_infinity` (as values) | float |
 | other atoms | `Atom`, a str |
-| binary | str where it is UTF-8, else bytes |
-| struct | `Struct`, a dict with `.module` and its fields as attributes |
+| binary | str if it is UTF-8, otherwise bytes |
+| struct | `Struct`, a dict with `.module`, whose fields are also attributes |
 """
 
 import math
 import struct
 
-from .bytes import Cursor, Damaged
+from .binary import Cursor, Damaged
 
-DEEPEST = 512
+MAX_DEPTH = 512
 _VERSION = 131
-_NUMBERS = {"nan": math.nan, "infinity": math.inf, "neg_infinity": -math.inf}
-_WORDS = {"true": True, "false": False, "nil": None, **_NUMBERS}
+_FLOAT_ATOMS = {"nan": math.nan, "infinity": math.inf, "neg_infinity": -math.inf}
+_ATOM_VALUES = {"true": True, "false": False, "nil": None, **_FLOAT_ATOMS}
 
 
 class Atom(str):
-    """A name. Equal to the str of the same letters, and written as an atom."""
+    """An atom. It equals the str with the same characters, but is written as an atom."""
 
     __slots__ = ()
 
@@ -31,7 +31,7 @@ class Atom(str):
 
 
 class Struct(dict):
-    """A struct of Elixir's: its fields by name, also as attributes."""
+    """An Elixir struct: a dict of its fields, which are also attributes."""
 
     def __init__(self, module, fields=()):
         super().__init__(fields)
@@ -47,131 +47,133 @@ class Struct(dict):
         return f"Struct({self.module!r}, {dict(self)!r})"
 
 
-def decode(data):
-    """The term in `data`. Functions, processes and compressed terms are refused (`Damaged`)."""
+def decode_term(data):
+    """Decodes a term. Raises `Damaged`, also for functions, processes and compressed terms."""
     cursor = Cursor(data)
-    if cursor.take(1)[0] != _VERSION:
-        raise Damaged("a term does not begin with 131")
-    term = _read(cursor, 0, False)
-    if cursor.at != len(data):
-        raise Damaged("a term ends before its bytes")
+    if cursor.read_bytes(1)[0] != _VERSION:
+        raise Damaged("a term does not begin with byte 131")
+    term = _read_term(cursor, 0, False)
+    if cursor.position != len(data):
+        raise Damaged("a term is followed by extra bytes")
     return term
 
 
-def _read(cursor, depth, key):
-    if depth > DEEPEST:
-        raise Damaged("a term is nested too deeply")
-    tag = cursor.take(1)[0]
+def _read_term(cursor, depth, key):
+    if depth > MAX_DEPTH:
+        raise Damaged(f"a term is nested more than {MAX_DEPTH} levels deep")
+    tag = cursor.read_bytes(1)[0]
     reader = _READERS.get(tag)
     if reader is None:
-        raise Damaged(f"a term of the kind {tag}, which is no plain data")
+        raise Damaged(f"a term has the tag {tag}, which is not plain data")
     return reader(cursor, depth, key)
 
 
-def _atom(layout):
-    def read(cursor, _depth, key):
-        name = _text(cursor.take(cursor.unpack(layout)[0]))
-        return Atom(name) if key or name not in _WORDS else _WORDS[name]
+def _build_atom_reader(layout):
+    def read_atom(cursor, _depth, key):
+        name = _decode_text(cursor.read_bytes(cursor.read_struct(layout)[0]))
+        return Atom(name) if key or name not in _ATOM_VALUES else _ATOM_VALUES[name]
 
-    return read
+    return read_atom
 
 
-def _text(raw):
+def _decode_text(raw):
     try:
         return bytes(raw).decode()
     except UnicodeDecodeError:
         return bytes(raw).decode("latin-1")
 
 
-def _binary(cursor, _depth, _key):
-    raw = bytes(cursor.take(cursor.unpack(">I")[0]))
+def _read_binary(cursor, _depth, _key):
+    raw = bytes(cursor.read_bytes(cursor.read_struct(">I")[0]))
     try:
         return raw.decode()
     except UnicodeDecodeError:
         return raw
 
 
-def _big(layout):
-    def read(cursor, _depth, _key):
-        length, sign = cursor.unpack(layout)
-        value = int.from_bytes(cursor.take(length), "little")
+def _build_bignum_reader(layout):
+    def read_bignum(cursor, _depth, _key):
+        length, sign = cursor.read_struct(layout)
+        value = int.from_bytes(cursor.read_bytes(length), "little")
         return -value if sign else value
 
-    return read
+    return read_bignum
 
 
-def _several(cursor, count, depth, key=False):
-    # Every element takes a byte at least: no memory is asked for that the bytes cannot fill.
-    if count > len(cursor.data) - cursor.at:
+def _read_elements(cursor, count, depth, key=False):
+    # Every element takes at least one byte, so this check limits the memory that a forged count can allocate.
+    if count > len(cursor.data) - cursor.position:
         raise Damaged("a term has more elements than bytes")
-    return [_read(cursor, depth + 1, key) for _ in range(count)]
+    return [_read_term(cursor, depth + 1, key) for _ in range(count)]
 
 
-def _list(cursor, depth, _key):
-    elements = _several(cursor, cursor.unpack(">I")[0], depth)
-    if _read(cursor, depth + 1, True) != []:
-        raise Damaged("an improper list")
+def _read_list(cursor, depth, _key):
+    elements = _read_elements(cursor, cursor.read_struct(">I")[0], depth)
+    if _read_term(cursor, depth + 1, True) != []:
+        raise Damaged("a term contains an improper list")
     return elements
 
 
-def _map(cursor, depth, _key):
-    (count,) = cursor.unpack(">I")
-    if 2 * count > len(cursor.data) - cursor.at:
+def _read_map(cursor, depth, _key):
+    (count,) = cursor.read_struct(">I")
+    if 2 * count > len(cursor.data) - cursor.position:
         raise Damaged("a term has more elements than bytes")
     fields, module = {}, None
     for _ in range(count):
-        key = _read(cursor, depth + 1, True)
+        key = _read_term(cursor, depth + 1, True)
         if key == "__struct__" and isinstance(key, Atom):
-            module = str(_read(cursor, depth + 1, True)).removeprefix("Elixir.")
+            module = str(_read_term(cursor, depth + 1, True)).removeprefix("Elixir.")
             continue
         try:
-            fields[key] = _read(cursor, depth + 1, False)
+            fields[key] = _read_term(cursor, depth + 1, False)
         except TypeError:
-            # A list or a map as a key, which Python has not.
-            fields[repr(key)] = _read(cursor, depth + 1, False)
+            # Python's dicts do not support lists and maps as keys.
+            fields[repr(key)] = _read_term(cursor, depth + 1, False)
     return Struct(module, fields) if module else fields
 
 
-def _tuple(layout):
-    return lambda cursor, depth, key: tuple(_several(cursor, cursor.unpack(layout)[0], depth, key))
+def _build_tuple_reader(layout):
+    return lambda cursor, depth, key: tuple(_read_elements(cursor, cursor.read_struct(layout)[0], depth, key))
 
 
-def _number(layout):
-    return lambda cursor, _depth, _key: cursor.unpack(layout)[0]
+def _build_number_reader(layout):
+    return lambda cursor, _depth, _key: cursor.read_struct(layout)[0]
 
 
 _READERS = {
-    70: _number(">d"),
-    97: _number(">B"),
-    98: _number(">i"),
-    100: _atom(">H"),
-    104: _tuple(">B"),
-    105: _tuple(">I"),
+    70: _build_number_reader(">d"),
+    97: _build_number_reader(">B"),
+    98: _build_number_reader(">i"),
+    100: _build_atom_reader(">H"),
+    104: _build_tuple_reader(">B"),
+    105: _build_tuple_reader(">I"),
     106: lambda _cursor, _depth, _key: [],
-    107: lambda cursor, _depth, _key: list(cursor.take(cursor.unpack(">H")[0])),
-    108: _list,
-    109: _binary,
-    110: _big(">BB"),
-    111: _big(">IB"),
-    115: _atom(">B"),
-    116: _map,
-    118: _atom(">H"),
-    119: _atom(">B"),
+    107: lambda cursor, _depth, _key: list(cursor.read_bytes(cursor.read_struct(">H")[0])),
+    108: _read_list,
+    109: _read_binary,
+    110: _build_bignum_reader(">BB"),
+    111: _build_bignum_reader(">IB"),
+    115: _build_atom_reader(">B"),
+    116: _read_map,
+    118: _build_atom_reader(">H"),
+    119: _build_atom_reader(">B"),
 }
 
 
-def encode(term):
-    """A term as bytes. Raises TypeError for what is no plain data."""
+def encode_term(term):
+    """Encodes a term. Raises TypeError for values that are not plain data."""
     out = bytearray([_VERSION])
-    _write(term, out, 0)
+    _write_term(term, out, 0)
     return bytes(out)
 
 
-def _write(term, out, depth):
-    if depth > DEEPEST:
-        raise TypeError("a term that is nested too deeply")
-    if term is None or isinstance(term, (bool, Atom)):
-        _write_atom({None: "nil", True: "true", False: "false"}.get(term, term) if not isinstance(term, Atom) else term, out)
+def _write_term(term, out, depth):
+    if depth > MAX_DEPTH:
+        raise TypeError(f"cannot encode a value that is nested more than {MAX_DEPTH} levels deep")
+    if isinstance(term, Atom):
+        _write_atom(term, out)
+    elif term is None or isinstance(term, bool):
+        _write_atom({None: "nil", True: "true", False: "false"}[term], out)
     elif isinstance(term, int):
         _write_int(term, out)
     elif isinstance(term, float):
@@ -185,28 +187,28 @@ def _write(term, out, depth):
             pairs = [(Atom("__struct__"), Atom("Elixir." + term.module)), *((Atom(key), value) for key, value in pairs)]
         out += struct.pack(">BI", 116, len(pairs))
         for key, value in pairs:
-            _write(key, out, depth + 1)
-            _write(value, out, depth + 1)
+            _write_term(key, out, depth + 1)
+            _write_term(value, out, depth + 1)
     elif isinstance(term, tuple):
         out += struct.pack(">BI", 105, len(term))
         for element in term:
-            _write(element, out, depth + 1)
+            _write_term(element, out, depth + 1)
     elif isinstance(term, list):
         if term:
             out += struct.pack(">BI", 108, len(term))
             for element in term:
-                _write(element, out, depth + 1)
+                _write_term(element, out, depth + 1)
         out.append(106)
     elif hasattr(term, "item") and getattr(term, "ndim", None) == 0:
-        _write(term.item(), out, depth)
+        _write_term(term.item(), out, depth)
     else:
-        raise TypeError(f"{type(term).__name__} is nothing that a message can hold here")
+        raise TypeError(f"cannot encode a {type(term).__name__}: use numbers, str, bytes, None, list, tuple or dict")
 
 
 def _write_atom(name, out):
     raw = name.encode()
     if len(raw) > 255:
-        raise TypeError("an atom of more than 255 letters")
+        raise TypeError(f"cannot encode an atom of {len(raw)} bytes: the maximum is 255")
     out += struct.pack(">BB", 119, len(raw)) + raw
 
 
@@ -217,8 +219,8 @@ def _write_int(value, out):
         out += struct.pack(">Bi", 98, value)
     else:
         raw = abs(value).to_bytes((value.bit_length() + 7) // 8, "little")
-        head = struct.pack(">BBB", 110, len(raw), value < 0) if len(raw) < 256 else struct.pack(">BIB", 111, len(raw), value < 0)
-        out += head + raw
+        layout, tag = (">BBB", 110) if len(raw) < 256 else (">BIB", 111)
+        out += struct.pack(layout, tag, len(raw), value < 0) + raw
 
 
 def _write_float(value, out):

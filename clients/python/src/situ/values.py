@@ -1,22 +1,22 @@
-"""Pictures, sound and other data with a layout of their own, as numpy arrays where numpy is there."""
+"""Images, audio and other data with a binary layout, available as numpy arrays if numpy is installed."""
 
 import dataclasses
 import struct
 
-from .bytes import Damaged, Missing
+from .binary import Damaged, Missing
 
 
-def numpy():
-    """numpy, or `Missing`."""
+def import_numpy():
+    """Returns the module numpy. Raises `Missing` if it is not installed."""
     try:
         import numpy
     except ImportError:
-        raise Missing("numpy: pip install situ[numpy]") from None
+        raise Missing("numpy is not installed: pip install situ[numpy]") from None
     return numpy
 
 
-#            code: name, bits a channel, channels
-PICTURES = {
+# code: name, bits per channel, channels
+IMAGE_FORMATS = {
     1: ("gray8", 8, 1),
     2: ("gray16", 16, 1),
     3: ("bgr24", 8, 3),
@@ -26,34 +26,51 @@ PICTURES = {
     7: ("rgba32", 8, 4),
     8: ("rgba64", 16, 4),
 }
-_PICTURE_CODES = {name: code for code, (name, _, _) in PICTURES.items()}
-SAMPLES = {1: ("u8", "u1"), 2: ("s16", "<i2"), 3: ("s24", None), 4: ("s32", "<i4"), 5: ("f32", "<f4"), 6: ("f64", "<f8")}
-_SAMPLE_CODES = {name: code for code, (name, _) in SAMPLES.items()}
+_IMAGE_CODES = {name: code for code, (name, _, _) in IMAGE_FORMATS.items()}
+# code: name, numpy type
+SAMPLE_FORMATS = {
+    1: ("u8", "u1"),
+    2: ("s16", "<i2"),
+    3: ("s24", None),
+    4: ("s32", "<i4"),
+    5: ("f32", "<f4"),
+    6: ("f64", "<f8"),
+}
+_SAMPLE_CODES = {name: code for code, (name, _) in SAMPLE_FORMATS.items()}
 _SAMPLE_BYTES = {"u8": 1, "s16": 2, "s24": 3, "s32": 4, "f32": 4, "f64": 8}
-TENSORS = ["<f4", "<f8", "i1", "<i2", "<i4", "<i8", "u1", "<u2", "<u4", "<u8", "?", "<f2", "bf16"]
+TENSOR_TYPES = ["<f4", "<f8", "i1", "<i2", "<i4", "<i8", "u1", "<u2", "<u4", "<u8", "?", "<f2", "bf16"]
 
 
-def _expect(condition, what):
+def _require(condition, what):
     if not condition:
         raise Damaged(what)
 
 
 class _Value:
-    """Is shown by its fields, of which long bytes by their number: a picture has millions."""
+    """Base class whose `repr` shows long bytes by their length, since an image has millions of them."""
 
     def __repr__(self):
-        shown = (f"{field.name}={_shown(getattr(self, field.name))}" for field in dataclasses.fields(self))
+        shown = (f"{field.name}={_format_field(getattr(self, field.name))}" for field in dataclasses.fields(self))
         return f"{type(self).__name__}({', '.join(shown)})"
 
 
-def _shown(value):
+def _format_field(value):
     long = isinstance(value, (bytes, bytearray, memoryview)) and len(value) > 16
     return f"<{len(value)} bytes>" if long else repr(value)
 
 
+_ARRAY_FORMATS = {
+    ("uint8", 1): "gray8",
+    ("uint16", 1): "gray16",
+    ("uint8", 3): "rgb24",
+    ("uint8", 4): "rgba32",
+    ("uint16", 4): "rgba64",
+}
+
+
 @dataclasses.dataclass(repr=False)
 class Image(_Value):
-    """A picture: `data` are `height` rows of `stride` bytes."""
+    """An image: `data` contains `height` rows of `stride` bytes."""
 
     width: int
     height: int
@@ -67,53 +84,62 @@ class Image(_Value):
 
     @classmethod
     def from_array(cls, array, format=None):
-        """Of an array (height, width) or (height, width, channels) of uint8 or uint16; three channels are rgb24
-        unless `format` says otherwise."""
-        np = numpy()
+        """Builds an image from a uint8 or uint16 array of shape (height, width) or (height, width, channels).
+
+        Three channels are rgb24 unless `format` is given.
+        """
+        np = import_numpy()
         array = np.asarray(array)
         channels = array.shape[2] if array.ndim == 3 else 1
-        guess = {("uint8", 1): "gray8", ("uint16", 1): "gray16", ("uint8", 3): "rgb24", ("uint8", 4): "rgba32", ("uint16", 4): "rgba64"}
-        format = format or guess.get((array.dtype.name, channels))
-        if format not in _PICTURE_CODES or PICTURES[_PICTURE_CODES[format]][1:] != (array.dtype.itemsize * 8, channels):
-            raise ValueError(f"no picture of {array.dtype} with the shape {array.shape} and the format {format}")
+        format = format or _ARRAY_FORMATS.get((array.dtype.name, channels))
+        pixel = (array.dtype.itemsize * 8, channels)
+        if format not in _IMAGE_CODES or IMAGE_FORMATS[_IMAGE_CODES[format]][1:] != pixel:
+            raise ValueError(f"an array of {array.dtype} with shape {array.shape} is not an image of format {format}")
         data = np.ascontiguousarray(array).tobytes()
         return cls(array.shape[1], array.shape[0], format, len(data) // array.shape[0], data)
 
     @property
     def array(self):
-        """(height, width) or (height, width, channels), uint8 or uint16, channels in the order of `format`; no copy."""
-        _, bits, channels = PICTURES[_PICTURE_CODES[self.format]]
+        """The pixels without a copy: (height, width) or (height, width, channels), uint8 or uint16.
+
+        The channels are in the order of `format`.
+        """
+        _, bits, channels = IMAGE_FORMATS[_IMAGE_CODES[self.format]]
         pixel = bits * channels // 8
         shape, strides = (self.height, self.width), (self.stride, pixel)
         if channels > 1:
             shape, strides = (*shape, channels), (*strides, bits // 8)
-        return numpy().ndarray(shape, "u1" if bits == 8 else "<u2", self.data, strides=strides)
+        return import_numpy().ndarray(shape, "u1" if bits == 8 else "<u2", self.data, strides=strides)
 
     @property
     def rgb(self):
-        """(height, width, 3), red first, whatever the format."""
+        """The pixels as (height, width, 3) with red first, for any format."""
         array = self.array
         if array.ndim == 2:
-            return numpy().stack([array] * 3, axis=2)
+            return import_numpy().stack([array] * 3, axis=2)
         return array[:, :, 2::-1] if self.format.startswith("bgr") else array[:, :, :3]
 
     def encode(self):
-        return self.HEAD.pack(1, _PICTURE_CODES[self.format], 0, self.width, self.height, self.stride) + bytes(self.data)
+        return self.HEAD.pack(1, _IMAGE_CODES[self.format], 0, self.width, self.height, self.stride) + bytes(self.data)
 
     @classmethod
     def decode(cls, raw):
-        _expect(len(raw) >= cls.HEAD.size, "a picture is too short")
+        _require(len(raw) >= cls.HEAD.size, "an image is shorter than its header")
         version, code, _, width, height, stride = cls.HEAD.unpack_from(raw)
-        _expect(version == 1 and code in PICTURES, "a picture of an unknown format")
-        name, bits, channels = PICTURES[code]
+        _require(version == 1 and code in IMAGE_FORMATS, "an image has an unknown version or format")
+        name, bits, channels = IMAGE_FORMATS[code]
         row, data = width * bits * channels // 8, raw[cls.HEAD.size :]
-        _expect(row <= stride and len(data) >= stride * max(height - 1, 0) + (row if height else 0), "a picture has too few bytes")
+        enough = stride * max(height - 1, 0) + (row if height else 0)
+        _require(row <= stride and len(data) >= enough, "an image has too few bytes")
         return cls(width, height, name, stride, data)
 
 
 @dataclasses.dataclass(repr=False)
 class DepthImage(_Value):
-    """Depths of 16 bits: `scale` metres each, along the optical axis (`plane`) or the ray (`point`)."""
+    """A depth image of 16-bit integers in units of `scale` metres.
+
+    Depth is measured along the optical axis (`semantics` is "plane") or along the ray of the pixel ("point").
+    """
 
     width: int
     height: int
@@ -128,18 +154,18 @@ class DepthImage(_Value):
 
     @classmethod
     def from_array(cls, array, scale=0.001, semantics="plane"):
-        """Of a uint16 array (height, width)."""
-        array = numpy().ascontiguousarray(array, "<u2")
+        """Builds a depth image from a uint16 array of shape (height, width)."""
+        array = import_numpy().ascontiguousarray(array, "<u2")
         return cls(array.shape[1], array.shape[0], 2 * array.shape[1], scale, semantics, array.tobytes())
 
     @property
     def array(self):
-        """(height, width), uint16; no copy."""
-        return numpy().ndarray((self.height, self.width), "<u2", self.data, strides=(self.stride, 2))
+        """The depths without a copy: (height, width), uint16."""
+        return import_numpy().ndarray((self.height, self.width), "<u2", self.data, strides=(self.stride, 2))
 
     @property
     def metres(self):
-        """(height, width), float64."""
+        """The depths in metres: (height, width), float64."""
         return self.array * self.scale
 
     def encode(self):
@@ -148,17 +174,17 @@ class DepthImage(_Value):
 
     @classmethod
     def decode(cls, raw):
-        _expect(len(raw) >= cls.HEAD.size and raw[0] == 1, "a depth image is too short")
+        _require(len(raw) >= cls.HEAD.size and raw[0] == 1, "a depth image is too short or has an unknown version")
         _, semantics, _, width, height, stride, scale = cls.HEAD.unpack_from(raw)
         data = raw[cls.HEAD.size :]
         enough = stride * max(height - 1, 0) + (2 * width if height else 0)
-        _expect(2 * width <= stride and len(data) >= enough, "a depth image has too few bytes")
+        _require(2 * width <= stride and len(data) >= enough, "a depth image has too few bytes")
         return cls(width, height, stride, scale, "point" if semantics else "plane", data)
 
 
 @dataclasses.dataclass(repr=False)
 class EncodedImage(_Value):
-    """A JPEG or PNG as it is."""
+    """An encoded image, `format` "jpeg" or "png"."""
 
     format: str
     width: int
@@ -174,15 +200,15 @@ class EncodedImage(_Value):
 
     @classmethod
     def decode(cls, raw):
-        _expect(len(raw) >= cls.HEAD.size, "an encoded picture is too short")
+        _require(len(raw) >= cls.HEAD.size, "an encoded image is shorter than its header")
         version, code, _, width, height, _ = cls.HEAD.unpack_from(raw)
-        _expect(version == 1 and code in (1, 2), "an encoded picture of an unknown format")
+        _require(version == 1 and code in (1, 2), "an encoded image has an unknown version or format")
         return cls("jpeg" if code == 1 else "png", width, height, raw[cls.HEAD.size :])
 
 
 @dataclasses.dataclass(repr=False)
 class AudioBuffer(_Value):
-    """Sound: frames of all channels' samples, little-endian. The time of its message is that of its end."""
+    """Audio: interleaved little-endian samples. The time of its message is the end of the buffer."""
 
     rate: int
     channels: int
@@ -195,20 +221,25 @@ class AudioBuffer(_Value):
 
     @classmethod
     def from_array(cls, array, rate):
-        """Of an array (frames,) or (frames, channels) of uint8, int16, int32, float32 or float64."""
-        np = numpy()
+        """Builds a buffer from an array of shape (frames,) or (frames, channels).
+
+        The array's type is uint8, int16, int32, float32 or float64.
+        """
+        np = import_numpy()
         array = np.asarray(array)
-        sample = {"uint8": "u8", "int16": "s16", "int32": "s32", "float32": "f32", "float64": "f64"}.get(array.dtype.name)
+        names = {"uint8": "u8", "int16": "s16", "int32": "s32", "float32": "f32", "float64": "f64"}
+        sample = names.get(array.dtype.name)
         if sample is None or array.ndim > 2:
-            raise ValueError(f"no sound of {array.dtype} with the shape {array.shape}")
-        layout = SAMPLES[_SAMPLE_CODES[sample]][1]
-        return cls(rate, array.shape[1] if array.ndim == 2 else 1, sample, np.ascontiguousarray(array, layout).tobytes())
+            raise ValueError(f"an array of {array.dtype} with shape {array.shape} is not audio")
+        layout = SAMPLE_FORMATS[_SAMPLE_CODES[sample]][1]
+        channels = array.shape[1] if array.ndim == 2 else 1
+        return cls(rate, channels, sample, np.ascontiguousarray(array, layout).tobytes())
 
     @property
     def array(self):
-        """(frames, channels) in the type of the samples; those of 24 bits as int32."""
-        np = numpy()
-        layout = SAMPLES[_SAMPLE_CODES[self.sample]][1]
+        """The samples as (frames, channels) in their own type; 24-bit samples are int32."""
+        np = import_numpy()
+        layout = SAMPLE_FORMATS[_SAMPLE_CODES[self.sample]][1]
         if layout:
             return np.frombuffer(self.data, layout).reshape(-1, self.channels)
         triples = np.frombuffer(self.data, "u1").reshape(-1, 3).astype("<i4")
@@ -217,8 +248,8 @@ class AudioBuffer(_Value):
 
     @property
     def floats(self):
-        """(frames, channels), float32, full scale 1.0."""
-        np = numpy()
+        """The samples as (frames, channels), float32, scaled to full scale 1.0."""
+        np = import_numpy()
         if self.sample in ("f32", "f64"):
             return self.array.astype("f4")
         if self.sample == "u8":
@@ -230,17 +261,18 @@ class AudioBuffer(_Value):
 
     @classmethod
     def decode(cls, raw):
-        _expect(len(raw) >= cls.HEAD.size, "a buffer of sound is too short")
+        _require(len(raw) >= cls.HEAD.size, "an audio buffer is shorter than its header")
         version, code, channels, rate = cls.HEAD.unpack_from(raw)
-        _expect(version == 1 and code in SAMPLES and channels and rate, "sound of an unknown format")
-        name, data = SAMPLES[code][0], raw[cls.HEAD.size :]
-        _expect(len(data) % (channels * _SAMPLE_BYTES[name]) == 0, "sound ends within a frame")
+        known = version == 1 and code in SAMPLE_FORMATS and channels and rate
+        _require(known, "an audio buffer has an unknown version or format")
+        name, data = SAMPLE_FORMATS[code][0], raw[cls.HEAD.size :]
+        _require(len(data) % (channels * _SAMPLE_BYTES[name]) == 0, "an audio buffer ends within a frame")
         return cls(rate, channels, name, data)
 
 
 @dataclasses.dataclass(repr=False)
 class Tensor(_Value):
-    """Numbers with a shape. A numpy array is written as one."""
+    """A tensor: numbers with a shape. A numpy array is written as a tensor."""
 
     dtype: str
     shape: tuple
@@ -251,41 +283,43 @@ class Tensor(_Value):
 
     @classmethod
     def from_array(cls, array):
-        np = numpy()
+        """Builds a tensor from an array of booleans or numbers of up to 64 bits."""
+        np = import_numpy()
         array = np.asarray(array)
         layout = array.dtype.newbyteorder("<").str.replace("|", "")
         layout = "?" if layout == "b1" else layout
-        if layout not in TENSORS:
-            raise ValueError(f"no tensor of {array.dtype}")
+        if layout not in TENSOR_TYPES:
+            raise ValueError(f"a tensor cannot contain {array.dtype}")
         return cls(layout, array.shape, np.ascontiguousarray(array, layout).tobytes())
 
     @property
     def array(self):
-        """The numpy array; numbers of 16 bits of the kind bfloat16 as float32."""
-        np = numpy()
+        """The numbers as a numpy array; bfloat16 numbers are float32."""
+        np = import_numpy()
         if self.dtype == "bf16":
             return (np.frombuffer(self.data, "<u2").astype("<u4") << 16).view("<f4").reshape(self.shape)
         return np.frombuffer(self.data, self.dtype).reshape(self.shape)
 
     def encode(self):
         dims = struct.pack(f"<{len(self.shape)}I", *self.shape)
-        return bytes([TENSORS.index(self.dtype), len(self.shape)]) + dims + bytes(self.data)
+        return bytes([TENSOR_TYPES.index(self.dtype), len(self.shape)]) + dims + bytes(self.data)
 
     @classmethod
     def decode(cls, raw):
-        _expect(len(raw) >= 2 and raw[0] < len(TENSORS) and len(raw) >= 2 + 4 * raw[1], "a tensor is too short")
+        known = len(raw) >= 2 and raw[0] < len(TENSOR_TYPES) and len(raw) >= 2 + 4 * raw[1]
+        _require(known, "a tensor is too short or has an unknown type")
         shape = struct.unpack_from(f"<{raw[1]}I", raw, 2)
-        dtype, data, count = TENSORS[raw[0]], raw[2 + 4 * raw[1] :], 1
+        dtype, data, count = TENSOR_TYPES[raw[0]], raw[2 + 4 * raw[1] :], 1
         for size in shape:
             count *= size
         width = 2 if dtype == "bf16" else 1 if dtype == "?" else int(dtype[-1])
-        _expect(len(data) == count * width, "a tensor has another size than its shape says")
+        _require(len(data) == count * width, "a tensor's size does not match its shape")
         return cls(dtype, shape, data)
 
 
 @dataclasses.dataclass(repr=False)
 class PointCloud(_Value):
-    """Points of three float32 (metres), and their colours and values (float32) or None."""
+    """A point cloud: points of three float32 (metres), with optional colors (uint8) and values (float32)."""
 
     points: bytes
     colors: bytes = None
@@ -296,25 +330,25 @@ class PointCloud(_Value):
 
     @classmethod
     def from_array(cls, points, colors=None, values=None):
-        """Of an array (n, 3), one of uint8 (n, 3), and one of numbers (n)."""
-        np = numpy()
-        bytes_of = lambda array, kind: None if array is None else np.ascontiguousarray(array, kind).tobytes()
-        return cls(bytes_of(points, "<f4"), bytes_of(colors, "u1"), bytes_of(values, "<f4"))
+        """Builds a cloud from arrays: points (n, 3), colors (n, 3) and values (n)."""
+        np = import_numpy()
+        to_bytes = lambda array, kind: None if array is None else np.ascontiguousarray(array, kind).tobytes()
+        return cls(to_bytes(points, "<f4"), to_bytes(colors, "u1"), to_bytes(values, "<f4"))
 
     @property
     def array(self):
-        """(n, 3), float32."""
-        return numpy().frombuffer(self.points, "<f4").reshape(-1, 3)
+        """The points: (n, 3), float32."""
+        return import_numpy().frombuffer(self.points, "<f4").reshape(-1, 3)
 
     @property
     def rgb(self):
-        """(n, 3), uint8, or None."""
-        return None if self.colors is None else numpy().frombuffer(self.colors, "u1").reshape(-1, 3)
+        """The colors: (n, 3), uint8, or None."""
+        return None if self.colors is None else import_numpy().frombuffer(self.colors, "u1").reshape(-1, 3)
 
     @property
     def numbers(self):
         """The values: (n), float32, or None."""
-        return None if self.values is None else numpy().frombuffer(self.values, "<f4")
+        return None if self.values is None else import_numpy().frombuffer(self.values, "<f4")
 
     def encode(self):
         flags = (self.colors is not None) + 2 * (self.values is not None)
@@ -323,16 +357,21 @@ class PointCloud(_Value):
 
     @classmethod
     def decode(cls, raw):
-        _expect(len(raw) >= 8 and raw[0] == 1 and raw[1] in range(4), "a cloud is too short")
+        known = len(raw) >= 8 and raw[0] == 1 and raw[1] in range(4)
+        _require(known, "a point cloud is too short or has an unknown version")
         count = struct.unpack_from("<I", raw, 4)[0]
-        tones, numbers = 8 + 12 * count, 8 + 12 * count + (3 * count if raw[1] & 1 else 0)
-        _expect(len(raw) == numbers + (4 * count if raw[1] & 2 else 0), "a cloud has another size than it says")
-        return cls(raw[8:tones], raw[tones:numbers] if raw[1] & 1 else None, raw[numbers:] if raw[1] & 2 else None)
+        has_colors, has_values = raw[1] & 1, raw[1] & 2
+        points_end = 8 + 12 * count
+        colors_end = points_end + (3 * count if has_colors else 0)
+        size = colors_end + (4 * count if has_values else 0)
+        _require(len(raw) == size, "a point cloud's size does not match its header")
+        colors = raw[points_end:colors_end] if has_colors else None
+        return cls(raw[8:points_end], colors, raw[colors_end:] if has_values else None)
 
 
 @dataclasses.dataclass(repr=False)
 class Pose(_Value):
-    """A position (metres) and a rotation, a quaternion (w, i, j, k)."""
+    """A pose: a position in metres and a rotation as a quaternion (w, i, j, k)."""
 
     position: tuple
     rotation: tuple
@@ -346,14 +385,14 @@ class Pose(_Value):
 
     @classmethod
     def decode(cls, raw):
-        _expect(len(raw) == cls.LAYOUT.size and raw[0] == 1, "no pose")
+        _require(len(raw) == cls.LAYOUT.size and raw[0] == 1, "a pose has a wrong size or an unknown version")
         numbers = cls.LAYOUT.unpack(raw)[1:]
         return cls(numbers[:3], numbers[3:])
 
 
 @dataclasses.dataclass(repr=False)
 class Undecoded(_Value):
-    """Data of a codec that this package does not know, as bytes."""
+    """The bytes of a value whose codec this package does not know."""
 
     codec: str
     data: bytes
@@ -362,18 +401,18 @@ class Undecoded(_Value):
 CODECS = {kind.NAME: kind for kind in (Image, DepthImage, EncodedImage, AudioBuffer, Tensor, PointCloud, Pose)}
 
 
-def decode(name, raw):
-    """The value in a codec's bytes. Raises `Damaged`."""
+def decode_value(name, raw):
+    """Decodes the bytes of the codec `name`. Raises `Damaged`."""
     return CODECS[name].decode(raw) if name in CODECS else Undecoded(name, bytes(raw))
 
 
-def coded(value):
-    """The value to write: the value itself, for an array its tensor, for one of numpy's numbers that of Python."""
+def to_writable(value):
+    """Converts a numpy array to a tensor and a numpy number to a Python number; returns other values unchanged."""
     if not hasattr(value, "__array__"):
         return value
     return Tensor.from_array(value) if getattr(value, "ndim", 0) > 0 else value.item()
 
 
-def codec(value):
-    """The class whose layout a value has, or None."""
+def find_codec(value):
+    """Returns the class that encodes a value, or None if the value has no binary layout."""
     return type(value) if type(value) in CODECS.values() else None
